@@ -1,0 +1,1 @@
+"""Flows and the command line: the only package that knows Prefect."""

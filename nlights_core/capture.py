@@ -1,0 +1,76 @@
+"""Tiles: what a capture holds, after its manifest was read and every path resolved."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+from pydantic import Field
+
+from nlights_core.stands import Record, Stand
+
+
+class Encoding(Record):
+    """How the numbers in the photographs stand for light."""
+
+    transfer: Literal["linear", "srgb"] = Field(
+        default="linear", description="tone curve of the files: linear light, or sRGB to be undone"
+    )
+    mosaic: Literal["RGGB", "BGGR", "GRBG", "GBRG"] | None = Field(
+        default=None,
+        description="colour filters of a Bayer mosaic stored as a plain grey image; each 2 x 2 cell "
+        "becomes one pixel",
+    )
+    saturation: float | Literal["none"] | None = Field(
+        default=None,
+        description="level at which the sensor saturates, in the file's own numbers; none: nothing "
+        "is saturated; absent: the largest number of the file's type (1.0 for float)",
+    )
+
+
+class Sphere(Record):
+    """Photographs of a chrome sphere under the same lamps."""
+
+    frames: dict[str, Path] = Field(description="one photograph per lamp, absolute paths")
+    circle_px: tuple[float, float, float] | None = Field(
+        default=None, description="column and row of the centre, radius; px, pixel centres whole numbers"
+    )
+    points_px: tuple[tuple[float, float], ...] | None = Field(
+        default=None, description="points clicked on the outline: column, row; px"
+    )
+    mask: Path | None = Field(default=None, description="image that is not 0 on the sphere")
+
+
+class GivenLights(Record):
+    """Files that state the lights (formats: see the given-directions light model)."""
+
+    directions: Path
+    intensities: Path | None = None
+
+
+class Tile(Record):
+    """One placement of the stand over an artwork: the unit of work, of caching and of failure."""
+
+    artwork: str = Field(description="inventory number: a plain name")
+    title: str = ""
+    name: str = Field(description="a plain name, unique in the artwork")
+    origin_mm: tuple[float, float] = Field(
+        default=(0.0, 0.0), description="centre of the tile's field on the artwork: x right, y up, mm"
+    )
+    stand: Stand | None = None
+    pixel_size_mm: float | None = Field(
+        default=None, gt=0, description="edge of a pixel on the artwork, where no stand says it"
+    )
+    frames: dict[str, Path] = Field(description="one photograph per lamp")
+    flats: dict[str, Path] | None = Field(default=None, description="the white reference, per lamp")
+    dark: Path | None = None
+    mask: Path | None = Field(default=None, description="image that is not 0 on the artwork")
+    spheres: tuple[Sphere, ...] = ()
+    lights: GivenLights | None = None
+    encoding: Encoding = Encoding()
+    white_reflectance: float = Field(default=0.9, gt=0, le=1, description="albedo of the white reference")
+
+    @property
+    def lamps(self) -> tuple[str, ...]:
+        """The lamps in the order of every first axis."""
+        return tuple(self.frames)

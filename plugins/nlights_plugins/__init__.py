@@ -1,0 +1,1 @@
+"""The bundled algorithms, offered through the same door as anyone's."""
