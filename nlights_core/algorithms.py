@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 class Read(Protocol):
     """How an algorithm sees photographs without ever opening a file."""
 
-    def __call__(self, path: Path, *, reduce: int = 1, linear: bool = True) -> Array:
+    def __call__(self, path: Path, *, reduce: int = 1) -> Array:
         """A whole photograph, streamed and reduced by block means.
 
         Parameters
@@ -36,13 +36,11 @@ class Read(Protocol):
             A photograph named by the tile.
         reduce : int
             Edge of the blocks whose mean makes one sample.
-        linear : bool
-            Undo the photograph's tone curve, as the capture declares it.
 
         Returns
         -------
         (h, w, C) float32 array
-            Fractions of the saturation level; the dark frame is not subtracted.
+            Linear light as fractions of the saturation level; the dark frame is not subtracted.
         """
         ...
 

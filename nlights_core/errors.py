@@ -28,4 +28,4 @@ class PluginError(NlightsError):
 
 
 class TileError(NlightsError):
-    """This tile cannot be done.  A retry would not help; the other tiles go on."""
+    """The tile cannot be done.  A retry would not help; the other tiles go on."""

@@ -53,9 +53,9 @@ class LightField:
         count = len(self.lamps)
         if (self.positions is None) == (self.directions is None):
             raise ValueError("a light field has either positions (near) or directions (distant)")
-        places = self.positions if self.positions is not None else self.directions
-        if np.shape(places) != (count, 3):
-            raise ValueError(f"{count} lamps need places of shape ({count}, 3), got {np.shape(places)}")
+        for places in (self.positions, self.directions):
+            if places is not None and places.shape != (count, 3):
+                raise ValueError(f"{count} lamps need places of shape ({count}, 3), got {places.shape}")
         if self.power.shape[0] == 1 and count != 1:
             object.__setattr__(self, "power", np.repeat(self.power, count, axis=0))
         if self.ambient.shape[0] == 1 and count != 1:
@@ -65,6 +65,23 @@ class LightField:
     def near(self) -> bool:
         """Whether the lamps are at measured positions rather than infinitely far away."""
         return self.positions is not None
+
+    def only(self, lamp: int) -> LightField:
+        """The field of a single lamp, by its index."""
+        one = slice(lamp, lamp + 1)
+
+        def part(array: Array | None) -> Array | None:
+            return None if array is None else array[one]
+
+        return LightField(
+            self.lamps[one],
+            part(self.positions),
+            part(self.directions),
+            self.power[one],
+            self.ambient[one],
+            part(self.axes),
+            part(self.exponents),
+        )
 
     def vectors(self, points: Array) -> Array:
         """Direction times irradiance of every lamp at given points, at unit power.

@@ -87,12 +87,13 @@ class Stand(Record):
     @property
     def camera_position(self) -> Array:
         """Camera in the plane frame, (3,) float64, mm."""
-        return self.axes.matrix() @ np.array(self.camera)
+        return np.asarray(self.axes.matrix() @ np.array(self.camera))
 
     def lamp_positions(self, names: tuple[str, ...] | None = None) -> Array:
         """Lamps in the plane frame, (L, 3) float64, mm, in the order of ``names``."""
         chosen = tuple(self.lamps) if names is None else names
-        return np.array([self.lamps[n] for n in chosen], float) @ self.axes.matrix().T
+        measured = np.array([self.lamps[n] for n in chosen], float)
+        return np.asarray(measured @ self.axes.matrix().T)
 
     @model_validator(mode="after")
     def _is_usable(self) -> Stand:

@@ -1,1 +1,34 @@
 """The bundled algorithms, offered through the same door as anyone's."""
+
+from collections.abc import Iterable
+
+from nlights_core.algorithms import Algorithm
+from nlights_core.registry import hookimpl
+
+
+@hookimpl
+def nlights_algorithms() -> Iterable[type[Algorithm]]:
+    """Return every bundled algorithm, slot by slot."""
+    from nlights_plugins.chrome_sphere import ChromeSphere
+    from nlights_plugins.given_directions import GivenDirections
+    from nlights_plugins.height_detrends import ParabolicFit
+    from nlights_plugins.image_detrends import FlatField, InverseSquare
+    from nlights_plugins.integrators import FrankotChellappa, Simchony
+    from nlights_plugins.least_squares import LeastSquares
+    from nlights_plugins.measured_poi import MeasuredPoi
+    from nlights_plugins.normal_detrends import FlatResidual
+    from nlights_plugins.progressive import Progressive
+
+    return [
+        MeasuredPoi,
+        ChromeSphere,
+        GivenDirections,
+        FlatField,
+        InverseSquare,
+        LeastSquares,
+        Progressive,
+        FlatResidual,
+        FrankotChellappa,
+        Simchony,
+        ParabolicFit,
+    ]

@@ -1,0 +1,38 @@
+# The commands of a day's work.  Each makes its own environment (.venv) if there is none.
+PYTHON_IN = .venv/bin
+READY = .venv/.ready
+
+.PHONY: demo test lint package check format clean
+
+demo: $(READY) ## a simulated capture of the horizontal stand, measured from photographs to report
+	@rm -rf demo/capture
+	$(PYTHON_IN)/nlights simulate demo/capture --stand horizontal --scene painting --width 1000 --seed 1
+	$(PYTHON_IN)/nlights digitise demo/capture/artwork.yaml --recipe default --out demo/products
+	$(PYTHON_IN)/nlights evaluate demo/products/simulated-painting/r0c0 --truth demo/capture/truth
+	@echo
+	@echo "Look at demo/products/simulated-painting/r0c0/report.html"
+
+test: $(READY) ## all tests
+	$(PYTHON_IN)/python -m pytest
+
+lint: $(READY) ## style, types, layers
+	$(PYTHON_IN)/ruff check .
+	$(PYTHON_IN)/ruff format --check .
+	$(PYTHON_IN)/mypy
+	$(PYTHON_IN)/lint-imports
+
+package: $(READY) ## the wheel, in a clean environment, with the example plugin and every recipe
+	$(PYTHON_IN)/python tests/package_check.py
+
+check: lint test package ## what CI runs
+
+format: $(READY)
+	$(PYTHON_IN)/ruff check --fix .
+	$(PYTHON_IN)/ruff format .
+
+clean:
+	rm -rf .venv demo dist build
+
+$(READY): pyproject.toml constraints.txt deploy/make-environment
+	sh deploy/make-environment .venv
+	@touch $@

@@ -1,0 +1,64 @@
+"""The chain of stages, once, in reading order."""
+
+from collections.abc import Callable
+from typing import Any
+
+from nlights_core import stages
+from nlights_core.capture import Tile
+from nlights_core.recipe import Recipe
+from nlights_core.store import ArtefactRef
+
+Call = Callable[..., ArtefactRef]
+"""How to call a stage: ``call(stage, tile, ...)``.  Planning, calling directly and running as a
+Prefect task differ in nothing else."""
+
+
+def digitise_tile(tile: Tile, recipe: Recipe, call: Call) -> dict[str, ArtefactRef]:
+    """Photographs of a tile become albedo, normals, height, reflection map and mesh.
+
+    Parameters
+    ----------
+    tile : Tile
+        What to digitise.
+    recipe : Recipe
+        With which algorithms.
+    call : callable
+        How to call a stage.
+
+    Returns
+    -------
+    dict
+        The artefacts that hold products: "maps", "mesh" and "report".
+    """
+    detrend = recipe.detrend
+    lights = call(stages.lights, tile, recipe.light_model)
+    plate = call(stages.plate, tile, detrend.images, lights) if detrend.images else None
+    bias = (
+        call(stages.bias, tile, detrend.normals, recipe.normals, lights, plate) if detrend.normals else None
+    )
+
+    height = None
+    for _ in range(recipe.passes):
+        normals = call(stages.normals, tile, recipe.normals, lights, plate, bias, height)
+        height = call(stages.height, tile, recipe.integrator, normals)
+        if detrend.height:
+            height = call(stages.trend, tile, detrend.height, height)
+
+    maps = call(stages.maps, tile, normals, height, plate)
+    mesh = call(stages.mesh, tile, maps, height)
+    report = call(
+        stages.report, tile, recipe_record(recipe), lights, plate, bias, normals, height, maps, mesh
+    )
+    return {"maps": maps, "mesh": mesh, "report": report}
+
+
+def recipe_record(recipe: Recipe) -> dict[str, Any]:
+    """The recipe as the report shows it, under its name."""
+    return {"name": recipe.name, **recipe.record()}
+
+
+def steps(recipe: Recipe) -> int:
+    """How many stages the chain calls for a tile, for a progress bar."""
+    detrend = recipe.detrend
+    once = 4 + sum(part is not None for part in (detrend.images, detrend.normals))
+    return once + recipe.passes * (2 + (detrend.height is not None))

@@ -1,0 +1,84 @@
+"""Checking a tile before it is digitised: every photograph read once, nothing written."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from nlights_core.capture import Tile
+from nlights_core.development import Exposure, bands, darkroom
+from nlights_core.errors import NlightsError
+from nlights_core.fields import LightField
+from nlights_core.memory import require
+from nlights_core.recipe import Recipe
+
+
+@dataclass
+class Finding:
+    """What a check found out about a tile.
+
+    Attributes
+    ----------
+    tile : str
+    size : str
+        Size and depth of the photographs.
+    exposures : dict
+        By lamp, for the frames.
+    problems : list of str
+        Sentences; empty when the tile can be digitised.
+    """
+
+    tile: str
+    size: str = ""
+    exposures: dict[str, Exposure] = field(default_factory=dict)
+    problems: list[str] = field(default_factory=list)
+
+
+def check_tile(tile: Tile, recipe: Recipe, progress: Callable[[float], None]) -> Finding:
+    """Read every photograph of a tile and see whether a recipe can use it.
+
+    Parameters
+    ----------
+    tile, recipe : Tile, Recipe
+        What would be digitised, and how.
+    progress : callable
+        Told the share done.
+
+    Returns
+    -------
+    Finding
+    """
+    finding = Finding(tile.name)
+    needs_flats = bool(
+        recipe.detrend.normals or (recipe.detrend.images and recipe.detrend.images.needs_flats)
+    )
+    sets = [False, True] if tile.flats else [False]
+    for i, flats in enumerate(sets):
+        try:
+            _read(tile, recipe, flats, finding, lambda share, i=i: progress((i + share) / len(sets)))  # type: ignore[misc]
+        except (NlightsError, OSError) as fault:
+            finding.problems.append(str(fault))
+    if needs_flats and not tile.flats:
+        finding.problems.append(f"flats: the recipe '{recipe.name}' needs them; add flats to artwork.yaml")
+    return finding
+
+
+def _read(
+    tile: Tile, recipe: Recipe, flats: bool, finding: Finding, progress: Callable[[float], None]
+) -> None:
+    lamps = tile.lamps
+    neutral = LightField(lamps, directions=np.tile([0.0, 0.0, 1.0], (len(lamps), 1)))
+    with tempfile.TemporaryDirectory() as scratch, darkroom(tile, Path(scratch), flats=flats) as room:
+        info, grid = room.info, room.grid
+        finding.size = f"{info.columns} x {info.rows} px, {info.channels} x {info.dtype}"
+        for start, stop in bands(grid, len(lamps) * info.channels * 8):
+            room.raw(start, stop, neutral)
+            progress(stop / grid.rows)
+        if not flats:
+            finding.exposures = room.exposures
+            require(recipe.integrator.bytes_per_pixel * grid.rows * grid.columns, f"{tile.name}: integrator")
+        room.check()

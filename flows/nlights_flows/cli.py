@@ -1,0 +1,332 @@
+"""The command line: `nlights`."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from nlights_core import __version__
+from nlights_core.errors import NlightsError
+
+app = typer.Typer(
+    name="nlights",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode="markdown",
+    pretty_exceptions_enable=False,
+    help="""Measure paintings and drawings by photometric stereo.
+
+Photographs of an artwork under 8 lamps at measured positions become albedo, normals, height,
+reflection map and a mesh, tile by tile.
+
+A first look, without a camera:
+
+`nlights simulate capture --stand horizontal --scene painting --width 1000`
+
+`nlights digitise capture/artwork.yaml --out products`
+
+Then open `products/.../report.html`.  Exit codes: 0 all done; 1 some tiles failed, the others are
+done; 2 nothing was produced.
+""",
+)
+
+Artwork = Annotated[
+    Path, typer.Argument(metavar="ARTWORK.yaml", help="The capture's manifest, or the folder that holds it.")
+]
+RecipeOption = Annotated[
+    str,
+    typer.Option("--recipe", metavar="RECIPE", help="A shipped recipe (default, paper, psbox) or a file."),
+]
+Out = Annotated[Path, typer.Option("--out", metavar="DIR", help="Where the products go.")]
+StoreOption = Annotated[
+    Path | None,
+    typer.Option("--store", metavar="DIR", help="Where the artefacts are kept; OUT/.store if not given."),
+]
+StandOption = Annotated[
+    str | None,
+    typer.Option("--stand", metavar="NAME_OR_FILE", help="A stand instead of the one the manifest names."),
+]
+Root = Annotated[
+    Path | None,
+    typer.Option(
+        "--root", metavar="DIR", help="Folder that the manifest's paths may not leave; its own by default."
+    ),
+]
+Tiles = Annotated[
+    list[str] | None,
+    typer.Option("--tile", metavar="NAME", help="Only this tile; may be given several times."),
+]
+
+
+def version(show: bool) -> None:
+    """Print the version."""
+    if show:
+        print(f"nlights {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _main(
+    show: Annotated[
+        bool, typer.Option("--version", callback=version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    pass
+
+
+@app.command()
+def simulate(
+    folder: Annotated[
+        Path, typer.Argument(metavar="DIR", help="Where the capture goes: a new or empty folder.")
+    ],
+    stand: Annotated[
+        str, typer.Option(metavar="NAME_OR_FILE", help="The stand that takes the photographs.")
+    ] = "horizontal",
+    scene: Annotated[
+        str, typer.Option(metavar="SCENE", help="plane, drawing, painting or relief.")
+    ] = "painting",
+    width: Annotated[
+        int, typer.Option(metavar="N", min=16, max=20000, help="Width of the photographs, px.")
+    ] = 1000,
+    varnish: Annotated[
+        bool, typer.Option("--varnish", help="Varnish the painting: it gets highlights.")
+    ] = False,
+    seed: Annotated[int, typer.Option(metavar="N", min=0, help="Another seed, other lamps and noise.")] = 0,
+) -> None:
+    """Write a simulated capture, and its truth, to try things on.
+
+    Writes `artwork.yaml`, one photograph per lamp, flats, a dark frame, and `truth/` with the
+    exact normals.tif, height.tif and albedo.tif.
+    """
+    from nlights_core.configurations import load_stand
+    from nlights_core.testing.scenes import SCENES
+    from nlights_core.testing.simulation import simulate as run
+    from nlights_flows import console
+
+    if scene not in SCENES:
+        raise NlightsError(f"--scene: there is no scene '{scene}'; choose one of {', '.join(SCENES)}")
+    with console.progress_bar(f"simulating {scene}") as progress:
+        run(
+            folder,
+            load_stand(stand),
+            scene=scene,
+            width=width,
+            varnish=varnish,
+            seed=seed,
+            progress=lambda done, total: progress(done / total),
+        )
+    print(f"{folder / 'artwork.yaml'}: {scene}, {width} px wide; the truth is in {folder / 'truth'}")
+
+
+@app.command()
+def check(
+    artwork: Artwork,
+    recipe: RecipeOption = "default",
+    stand: StandOption = None,
+    root: Root = None,
+) -> None:
+    """Look at a capture before it is digitised: manifest, recipe, every photograph.
+
+    Reads every pixel once: sizes, depths, black and saturated frames.  Writes nothing.
+    """
+    from nlights_core.manifest import load_capture
+    from nlights_core.recipe import load_recipe
+    from nlights_flows import checking, console
+
+    chosen = load_recipe(recipe)
+    tiles = load_capture(artwork, stand=stand, root=root)
+    with console.progress_bar("reading photographs") as progress:
+        findings = []
+        for i, tile in enumerate(tiles):
+            findings.append(
+                checking.check_tile(tile, chosen, lambda share, i=i: progress((i + share) / len(tiles)))
+            )
+    console.show_findings(findings)
+    bad = sum(bool(finding.problems) for finding in findings)
+    raise typer.Exit(0 if not bad else 2 if bad == len(findings) else 1)
+
+
+@app.command()
+def plan(
+    artwork: Artwork,
+    recipe: RecipeOption = "default",
+    out: Out = Path("products"),
+    store: StoreOption = None,
+    stand: StandOption = None,
+    root: Root = None,
+    tile: Tiles = None,
+) -> None:
+    """Say what `digitise` would do: which stages exist, which would be made, and why.
+
+    Runs nothing.  A stage is made anew when its algorithm, an option, its code or anything
+    before it differs.
+    """
+    from nlights_flows import console, planning
+
+    chosen, tiles, kept = _prepared(artwork, recipe, out, store, stand, root, tile)
+    failed = 0
+    for one in tiles:
+        try:
+            console.show_plan(one, planning.plan(one, chosen, kept))
+        except NlightsError as fault:
+            failed += 1
+            console.complain(f"{one.name}: {fault}")
+    raise typer.Exit(0 if not failed else 2 if failed == len(tiles) else 1)
+
+
+@app.command()
+def digitise(
+    artwork: Artwork,
+    recipe: RecipeOption = "default",
+    out: Out = Path("products"),
+    store: StoreOption = None,
+    stand: StandOption = None,
+    root: Root = None,
+    tile: Tiles = None,
+    prefect: Annotated[
+        bool,
+        typer.Option(
+            "--prefect",
+            help="Run as a Prefect flow; implied where a Prefect API is configured (PREFECT_API_URL).",
+        ),
+    ] = False,
+) -> None:
+    """Turn the photographs of an artwork into measured surfaces.
+
+    Writes `OUT/<artwork>/<tile>/`: normals.tif, albedo.tif, reflection.tif, height.tif,
+    confidence.tif, mesh.ply, mesh.glb, report.html and more.  What was finished before is not
+    done again; a fault of one tile costs that tile only.
+    """
+    from nlights_core.store import make_writable
+    from nlights_flows import console, environment
+
+    chosen, tiles, kept = _prepared(artwork, recipe, out, store, stand, root, tile)
+    make_writable(out, "--out")
+    kept.prepare()
+    if prefect or environment.api_configured():
+        environment.prepare()
+        from nlights_flows.digitise import digitise as flow
+        from nlights_flows.running import exit_code
+
+        state: Any = flow(
+            artwork=str(artwork),
+            recipe=recipe,
+            out=str(out),
+            store=str(kept.root),
+            stand=stand,
+            root=str(root) if root else None,
+            tiles=tile,
+            return_state=True,
+        )
+        outcomes = state.data if isinstance(state.data, list) else state.result(raise_on_failure=False)
+    else:
+        from nlights_flows.running import exit_code, run_directly
+
+        outcomes = []
+        with console.TileProgress(chosen, tiles) as watch:
+            for one in tiles:
+                outcomes.append(run_directly(one, chosen, kept, out, watch))
+                watch.tile_done(outcomes[-1])
+    console.show_outcomes(outcomes)
+    raise typer.Exit(exit_code(outcomes))
+
+
+@app.command()
+def plugins(
+    schema: Annotated[
+        bool, typer.Option("--schema", help="Print the JSON schema of a recipe over what is installed.")
+    ] = False,
+) -> None:
+    """List the algorithms that are installed, by slot, with the distribution they come from."""
+    import json
+
+    from nlights_core.recipe import recipe_schema
+    from nlights_core.registry import installed
+    from nlights_flows import console
+
+    if schema:
+        print(json.dumps(recipe_schema(), indent=1))
+    else:
+        console.show_plugins(installed())
+
+
+@app.command()
+def report(
+    folders: Annotated[
+        list[Path],
+        typer.Argument(metavar="DIR...", help="Product folders of tiles, or folders that hold some."),
+    ],
+) -> None:
+    """Print the quality numbers of tiles side by side, with their units."""
+    from nlights_flows import console
+
+    console.show_numbers(folders)
+
+
+@app.command()
+def evaluate(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="The product folder of a tile.")],
+    truth: Annotated[
+        Path, typer.Option("--truth", metavar="DIR", help="A folder with normals.tif and height.tif.")
+    ],
+) -> None:
+    """Compare a tile's products with the truth, where it is known.
+
+    Prints, and writes as `evaluation.json` into DIR: the angles between the normals in degrees,
+    the difference of the heights in mm (a free constant removed), and the share that is known.
+    """
+    import json
+
+    from nlights_core.store import write_whole
+    from nlights_core.testing.evaluation import evaluate as compare
+    from nlights_flows import console
+
+    result = compare(folder, truth)
+    console.show_evaluation(result)
+    write_whole(folder / "evaluation.json", json.dumps(result, indent=1) + "\n")
+
+
+def _prepared(
+    artwork: Path,
+    recipe: str,
+    out: Path,
+    store: Path | None,
+    stand: str | None,
+    root: Path | None,
+    names: list[str] | None,
+) -> tuple[Any, list[Any], Any]:
+    """Read recipe, stand and manifest; any fault of theirs stops before anything is written."""
+    from nlights_core.errors import CaptureError
+    from nlights_core.manifest import load_capture
+    from nlights_core.recipe import load_recipe
+    from nlights_core.store import Store
+
+    chosen = load_recipe(recipe)
+    tiles = load_capture(artwork, stand=stand, root=root)
+    unknown = [name for name in names or () if name not in {tile.name for tile in tiles}]
+    if unknown:
+        raise CaptureError(
+            f"--tile: {artwork} has no tile '{unknown[0]}'; it has {', '.join(t.name for t in tiles)}"
+        )
+    chosen_tiles = [tile for tile in tiles if not names or tile.name in names]
+    return chosen, chosen_tiles, Store(store or out / ".store")
+
+
+def main() -> None:
+    """Run the command line; explain what is the user's to mend, without a traceback."""
+    try:
+        app()
+    except NlightsError as fault:
+        print(fault, file=sys.stderr)
+        sys.exit(2)
+    except BrokenPipeError:
+        sys.exit(141)
+    except OSError as fault:
+        print(f"{fault.filename or 'system'}: {fault.strerror or fault}", file=sys.stderr)
+        sys.exit(2)
+    except KeyboardInterrupt:
+        print("stopped; what is finished is kept: the same command goes on from there", file=sys.stderr)
+        sys.exit(130)

@@ -1,0 +1,142 @@
+"""The Prefect flow `digitise`: an artwork's tiles, one task per tile and stage."""
+
+# No `from __future__ import annotations` here: Prefect resolves the parameters' types itself.
+import errno
+import logging
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from prefect import flow, get_run_logger, task
+from prefect.cache_policies import NO_CACHE
+from prefect.client.schemas.objects import State, TaskRun
+from prefect.exceptions import MissingContextError
+from prefect.states import Completed, Failed
+
+from nlights_core import stages
+from nlights_core.capture import Tile
+from nlights_core.manifest import load_capture
+from nlights_core.recipe import load_recipe
+from nlights_core.store import ArtefactRef, Store, make_writable
+from nlights_flows.running import Outcome, exit_code, explained, run_tile
+
+LASTING = {errno.ENOSPC, errno.EDQUOT, errno.ENOENT, errno.EACCES, errno.EPERM, errno.EROFS}
+"""Faults of the operating system that stay until somebody acts."""
+
+
+def _may_pass(task: Any, task_run: TaskRun, state: State[Any]) -> bool:
+    """Retry only what a retry can mend: a hiccup of the file system."""
+    fault = state.data if isinstance(state.data, BaseException) else None
+    if fault is None:
+        try:
+            state.result()
+        except BaseException as raised:
+            fault = raised
+    return isinstance(fault, OSError) and fault.errno not in LASTING
+
+
+@task(
+    persist_result=False,
+    cache_policy=NO_CACHE,
+    retries=2,
+    retry_delay_seconds=[5, 30],
+    retry_condition_fn=_may_pass,
+)
+def run_stage(name: str, store_root: str, tile: Tile, *arguments: Any) -> Any:
+    """Run one stage of one tile; only references come in and go out.
+
+    Returns
+    -------
+    ArtefactRef
+        In a state named "Cached" when the store had it.
+    """
+    store = Store(Path(store_root))
+    work = getattr(stages, name)(store, tile, *arguments)
+    if store.ensure(work):
+        return Completed(name="Cached", data=work.ref)
+    return work.ref
+
+
+@flow(name="digitise", persist_result=False, validate_parameters=True)
+def digitise(
+    artwork: str,
+    recipe: str = "default",
+    out: str = "products",
+    store: str | None = None,
+    stand: str | None = None,
+    root: str | None = None,
+    tiles: list[str] | None = None,
+) -> Any:
+    """Digitise the tiles of an artwork.
+
+    Parameters
+    ----------
+    artwork : str
+        Path of the ``artwork.yaml``.
+    recipe : str
+        Name of a shipped recipe, or a path.
+    out : str
+        Folder of the products.
+    store : str, optional
+        Folder of the artefacts; ``<out>/.store`` by default.
+    stand : str, optional
+        Name or path of a stand, instead of the manifest's.
+    root : str, optional
+        Capture root; the manifest's folder by default.
+    tiles : list of str, optional
+        Only these tiles.
+
+    Returns
+    -------
+    State
+        Completed, or Failed when a tile failed; both carry the list of outcomes as their data.
+    """
+    logger = _logger()
+    chosen = load_recipe(recipe)
+    found = load_capture(Path(artwork), stand=stand, root=Path(root) if root else None)
+    kept = Store(Path(store) if store else Path(out) / ".store")
+    kept.prepare()
+    make_writable(Path(out), "--out")
+    outcomes = []
+    for tile in found:
+        if tiles and tile.name not in tiles:
+            continue
+        outcome = _run_tile(tile, chosen, kept, Path(out))
+        outcomes.append(outcome)
+        if outcome.state == "failed":
+            logger.error("%s: %s", tile.name, outcome.message)
+    failed = [outcome for outcome in outcomes if outcome.state == "failed"]
+    message = f"{len(outcomes) - len(failed)} of {len(outcomes)} tiles done"
+    if exit_code(outcomes):
+        reasons = "".join(f"\n{o.tile}: {o.message}" for o in failed)
+        return Failed(message=message + reasons, data=outcomes)
+    return Completed(message=message, data=outcomes)
+
+
+def _run_tile(tile: Tile, recipe: Any, store: Store, out: Path) -> Outcome:
+    """Run a tile's stages as tasks; a tile's fault is its own."""
+    started = time.monotonic()
+    made: list[str] = []
+
+    def call(stage: Callable[..., Any], tile: Tile, *arguments: Any) -> ArtefactRef:
+        named = run_stage.with_options(name=stage.__name__, task_run_name=f"{tile.name} {stage.__name__}")
+        state = named(stage.__name__, str(store.root), tile, *arguments, return_state=True)
+        if state.name != "Cached":
+            made.append(stage.__name__)
+        return state.result()  # type: ignore[no-any-return]
+
+    try:
+        folder = run_tile(tile, recipe, store, out, call)
+    except Exception as fault:
+        message = explained(fault, store)
+        return Outcome(tile.artwork, tile.name, "failed", None, message, time.monotonic() - started)
+    state = "done" if made else "unchanged"
+    return Outcome(tile.artwork, tile.name, state, folder, "", time.monotonic() - started)  # type: ignore[arg-type]
+
+
+def _logger() -> Any:
+    try:
+        return get_run_logger()
+    except MissingContextError:
+        return logging.getLogger(__name__)

@@ -1,0 +1,37 @@
+"""What Prefect must find in the environment before it is imported, and whether an API is configured."""
+
+from __future__ import annotations
+
+import os
+import tomllib
+from pathlib import Path
+
+QUIET = {
+    "DO_NOT_TRACK": "1",
+    "PREFECT_SERVER_ANALYTICS_ENABLED": "false",
+    "PREFECT_SERVER_UI_SHOW_PROMOTIONAL_CONTENT": "false",
+    "PREFECT_SERVER_EPHEMERAL_STARTUP_TIMEOUT_SECONDS": "180",
+}
+"""No telemetry leaves the house; an ephemeral server gets the time that it really needs."""
+
+
+def prepare() -> None:
+    """Set what is not set already; call before importing prefect."""
+    for name, value in QUIET.items():
+        os.environ.setdefault(name, value)
+
+
+def api_configured() -> bool:
+    """Whether a Prefect API is configured, by the environment or by the active profile.
+
+    Reads the profile itself: importing prefect to ask costs seconds.
+    """
+    if os.environ.get("PREFECT_API_URL"):
+        return True
+    home = Path(os.environ.get("PREFECT_HOME", Path.home() / ".prefect"))
+    try:
+        profiles = tomllib.loads((home / "profiles.toml").read_text(encoding="utf-8"))
+    except (OSError, tomllib.TOMLDecodeError):
+        return False
+    active = os.environ.get("PREFECT_PROFILE", profiles.get("active", ""))
+    return bool(profiles.get("profiles", {}).get(active, {}).get("PREFECT_API_URL"))

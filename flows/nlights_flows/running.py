@@ -1,0 +1,123 @@
+"""Running tiles in this process: each tile on its own, what fails is told and passed by."""
+
+from __future__ import annotations
+
+import errno
+import time
+import traceback
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from nlights_core import products
+from nlights_core.capture import Tile
+from nlights_core.errors import NlightsError
+from nlights_core.recipe import Recipe
+from nlights_core.store import ArtefactRef, Progress, Store
+from nlights_flows.chain import digitise_tile
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a tile.
+
+    Attributes
+    ----------
+    artwork, tile : str
+        Which.
+    state : {"done", "unchanged", "failed"}
+        Unchanged: everything was in the store already.
+    folder : Path or None
+        The products.
+    message : str
+        Why it failed, for people.
+    seconds : float
+        How long it took.
+    """
+
+    artwork: str
+    tile: str
+    state: Literal["done", "unchanged", "failed"]
+    folder: Path | None = None
+    message: str = ""
+    seconds: float = 0.0
+
+
+Watch = Callable[[str, str, float], None]
+"""Told tile, stage and the stage's share done (1 when it ended)."""
+
+
+def exit_code(outcomes: Iterable[Outcome]) -> int:
+    """0: all done; 1: some tiles failed and others are done; 2: nothing was produced."""
+    states = [outcome.state == "failed" for outcome in outcomes]
+    if not any(states):
+        return 0 if states else 2
+    return 2 if all(states) else 1
+
+
+def run_tile(tile: Tile, recipe: Recipe, store: Store, out: Path, call: Callable[..., Any]) -> Path:
+    """Run the chain for a tile and publish its products.
+
+    Parameters
+    ----------
+    tile, recipe : Tile, Recipe
+        What, and with which algorithms.
+    store : Store
+        Where artefacts are.
+    out : Path
+        Where products go.
+    call : callable
+        How to call a stage.
+
+    Returns
+    -------
+    Path
+        The folder of the products.
+    """
+    return products.publish(store, tile, digitise_tile(tile, recipe, call), out)
+
+
+def run_directly(tile: Tile, recipe: Recipe, store: Store, out: Path, watch: Watch) -> Outcome:
+    """Run a tile by calling its stages in this process; never raises for what concerns the tile only."""
+    started = time.monotonic()
+    made: list[str] = []
+
+    def call(stage: Callable[..., Any], tile: Tile, *arguments: Any) -> ArtefactRef:
+        name = stage.__name__
+        watch(tile.name, name, 0.0)
+        work = stage(store, tile, *arguments)
+        progress: Progress = lambda share: watch(tile.name, name, min(share, 0.99))  # noqa: E731
+        if not store.ensure(work, progress):
+            made.append(name)
+        watch(tile.name, name, 1.0)
+        return work.ref  # type: ignore[no-any-return]
+
+    try:
+        folder = run_tile(tile, recipe, store, out, call)
+    except Exception as fault:
+        return Outcome(
+            tile.artwork, tile.name, "failed", None, explained(fault, store), time.monotonic() - started
+        )
+    state: Literal["done", "unchanged"] = "done" if made else "unchanged"
+    return Outcome(tile.artwork, tile.name, state, folder, "", time.monotonic() - started)
+
+
+def explained(fault: BaseException, store: Store) -> str:
+    """A fault as a sentence: what happened and what to do."""
+    if isinstance(fault, NlightsError):
+        return str(fault)
+    if isinstance(fault, OSError):
+        if fault.errno in (errno.ENOSPC, errno.EDQUOT):
+            return (
+                f"{fault.filename or store.root}: the disk is full; nothing half-written was left; free some "
+                "space or choose another --store or --out, and run again: what is finished is kept"
+            )
+        return f"{fault.filename or store.root}: {fault.strerror or fault}"
+    if isinstance(fault, MemoryError):
+        return f"not enough memory ({fault}); close other programs or use a larger machine"
+    where = traceback.extract_tb(fault.__traceback__)[-1]
+    return (
+        f"a defect, not your data: {type(fault).__name__}: {fault} ({Path(where.filename).name}:{where.lineno}); "
+        "please report it to the author of the algorithm"
+    )

@@ -1,0 +1,195 @@
+"""Files that people write: safe YAML, faults with line numbers, and the shipped examples."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, TypeVar
+
+import yaml
+from pydantic import BaseModel, ValidationError
+
+from nlights_core.errors import NlightsError, StandError
+from nlights_core.stands import Stand
+
+Model = TypeVar("Model", bound=BaseModel)
+
+LARGEST = 1 << 20
+"""No file written by a person is larger than this many bytes."""
+
+
+def shipped(kind: str) -> Path:
+    """Folder of the shipped ``recipes`` or ``stands``, in a wheel or in a checkout."""
+    here = Path(__file__).parent
+    inside = here / "configs" / kind
+    return inside if inside.is_dir() else here.parent / "configs" / kind
+
+
+def shipped_names(kind: str) -> list[str]:
+    """Names of the shipped recipes or stands."""
+    return sorted(path.stem for path in shipped(kind).glob("*.yaml"))
+
+
+def find(what: str, kind: str, error: type[NlightsError], base: Path | None = None) -> Path:
+    """Find a recipe or stand by the name of a shipped one or by a path.
+
+    Parameters
+    ----------
+    what : str
+        ``horizontal``, or a path that ends in .yaml or .yml.
+    kind : {"recipes", "stands"}
+        Where shipped ones are.
+    error : type
+        What to raise when there is none.
+    base : Path, optional
+        Folder that a relative path starts from; the working folder by default.
+    """
+    if not what.endswith((".yaml", ".yml")):
+        if what in shipped_names(kind):
+            return shipped(kind) / f"{what}.yaml"
+        raise error(
+            f"{what}: no {kind[:-1]} of this name is shipped; shipped are "
+            f"{', '.join(shipped_names(kind))}; for one of your own give a path that ends in .yaml"
+        )
+    path = (base or Path()) / what
+    if not path.is_file():
+        raise error(f"{path}: there is no such file; give a path or one of {', '.join(shipped_names(kind))}")
+    return path
+
+
+class _Loader(yaml.SafeLoader):
+    """Safe YAML without aliases (they can explode) and without doubled keys."""
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        if self.check_event(yaml.AliasEvent):
+            mark = self.peek_event().start_mark  # type: ignore[no-untyped-call]
+            raise yaml.MarkedYAMLError(
+                problem="anchors and aliases are not allowed; write it out", problem_mark=mark
+            )
+        return super().compose_node(parent, index)
+
+    def construct_mapping(self, node: Any, deep: bool = False) -> Any:
+        seen = set()
+        for key, _ in node.value:
+            if key.value in seen:
+                raise yaml.MarkedYAMLError(
+                    problem=f"the key '{key.value}' stands twice", problem_mark=key.start_mark
+                )
+            seen.add(key.value)
+        return super().construct_mapping(node, deep)
+
+
+class Source:
+    """A YAML mapping and where in its file each field stands.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    error : type
+        What to raise, naming the file and the line.
+    """
+
+    def __init__(self, path: Path, error: type[NlightsError]) -> None:
+        self.path, self.error = path, error
+        try:
+            if path.stat().st_size > LARGEST:
+                raise error(f"{path}: larger than {LARGEST >> 20} MiB, which no file of this kind is")
+            text = path.read_text(encoding="utf-8")
+            self._node = yaml.compose(text, _Loader)
+            self.data: Any = yaml.load(text, _Loader)
+        except OSError as fault:
+            raise error(
+                f"{path}: cannot be read ({fault.strerror}); check the path and its permissions"
+            ) from fault
+        except UnicodeDecodeError as fault:
+            raise error(f"{path}: is not text in UTF-8; save it as UTF-8") from fault
+        except yaml.MarkedYAMLError as fault:
+            line = fault.problem_mark.line + 1 if fault.problem_mark else 1
+            raise error(f"{path}:{line}: not valid YAML here: {fault.problem or fault.context}") from fault
+        except (yaml.YAMLError, RecursionError, ValueError) as fault:
+            raise error(f"{path}: not valid YAML: {str(fault).splitlines()[0]}") from fault
+        if not isinstance(self.data, dict):
+            raise error(f"{path}:1: should be a mapping of fields to values; got {_named(self.data)}")
+
+    def line(self, location: tuple[Any, ...]) -> int:
+        """Line of a field, or of the nearest enclosing one that exists; counted from 1."""
+        node, line = self._node, 1
+        for step in location:
+            found = None
+            if isinstance(node, yaml.MappingNode):
+                for key, value in node.value:
+                    if key.value == str(step):
+                        found, line = value, key.start_mark.line + 1
+            elif isinstance(node, yaml.SequenceNode) and isinstance(step, int) and step < len(node.value):
+                found = node.value[step]
+                line = found.start_mark.line + 1
+            if found is None:
+                break
+            node = found
+        return line
+
+    def fault(self, location: tuple[Any, ...], sentence: str) -> str:
+        """One sentence about a field: ``file:line: field: sentence``."""
+        field = ".".join(str(part) for part in location)
+        return f"{self.path}:{self.line(location)}: {field + ': ' if field else ''}{sentence}"
+
+    def check(self, model: type[Model]) -> Model:
+        """Validate the whole file into a model, telling every fault at once."""
+        try:
+            return model.model_validate(self.data)
+        except ValidationError as faults:
+            raise self.error("\n".join(self.sentences(faults, model))) from None
+
+    def sentences(
+        self, faults: ValidationError, model: type[BaseModel] | None = None, prefix: tuple[Any, ...] = ()
+    ) -> Iterator[str]:
+        """Every fault that pydantic found, in our words."""
+        for fault in faults.errors():
+            location = prefix + fault["loc"]
+            fields = list(model.model_fields) if model is not None and len(fault["loc"]) == 1 else None
+            yield self.fault(location, explain(dict(fault), fields))
+
+
+def explain(fault: dict[str, Any], fields: list[str] | None = None) -> str:
+    """One pydantic fault as a sentence: what should be, what was found."""
+    context = fault.get("ctx", {})
+    given = _named(fault.get("input"))
+    match fault["type"]:
+        case "extra_forbidden":
+            allowed = (
+                f"; allowed here: {', '.join(fields)}" if fields else "; remove it or correct its spelling"
+            )
+            return f"unknown field{allowed}"
+        case "missing":
+            return "is missing; add it"
+        case "greater_than_equal":
+            return f"should be at least {context['ge']:g}; got {given}"
+        case "greater_than":
+            return f"should be more than {context['gt']:g}; got {given}"
+        case "less_than_equal":
+            return f"should be at most {context['le']:g}; got {given}"
+        case "less_than":
+            return f"should be less than {context['lt']:g}; got {given}"
+        case "literal_error":
+            return f"should be {context['expected']}; got {given}"
+        case "value_error":
+            return str(context.get("error", fault["msg"]))
+        case _:
+            return f"{fault['msg'][0].lower()}{fault['msg'][1:]}; got {given}"
+
+
+def _named(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def load_stand(what: str, base: Path | None = None) -> Stand:
+    """Load a stand by the name of a shipped one or by a path.
+
+    Raises
+    ------
+    StandError
+        Naming the file, the line, the field, what was found and what is allowed.
+    """
+    return Source(find(what, "stands", StandError, base), StandError).check(Stand)

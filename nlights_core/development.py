@@ -1,0 +1,309 @@
+"""Development: photographs of a tile become bands of linear, dark-free, plate-relative images."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from nlights_core.capture import Encoding, Tile
+from nlights_core.errors import TileError
+from nlights_core.fields import LightField
+from nlights_core.frames import Array, PixelGrid
+from nlights_core.images import ImageInfo, Photograph, grey, is_saturated, probe
+from nlights_core.plates import Plate
+
+BAND_BYTES = 64 << 20
+"""About what the images and lights of one band may take; a solver takes a few times as much."""
+
+BLACK = 5e-4
+"""A frame whose mean is below this share of saturation shows that its lamp did not fire."""
+
+BURNT = 0.99
+"""A frame with more than this share of saturated pixels says nothing."""
+
+
+def survey(tile: Tile) -> ImageInfo:
+    """Read the headers of all photographs of a tile and see that they fit together.
+
+    Returns
+    -------
+    ImageInfo
+        Of the frames, which are all alike.
+
+    Raises
+    ------
+    TileError
+        Naming the photograph that is missing, unreadable, or of another size or type.
+    """
+    frames = {f"frames.{lamp}": path for lamp, path in tile.frames.items()}
+    first_field, first_path = next(iter(frames.items()))
+    first = probe(first_path, tile.encoding)
+    flats = {f"flats.{lamp}": path for lamp, path in (tile.flats or {}).items()}
+    dark = {"dark": tile.dark} if tile.dark else {}
+    for name, path in {**frames, **flats, **dark}.items():
+        info = probe(path, tile.encoding)
+        for what, found, expected in (
+            ("size", f"{info.columns} x {info.rows} px", f"{first.columns} x {first.rows} px"),
+            ("depth", f"{info.channels} x {info.dtype}", f"{first.channels} x {first.dtype}"),
+        ):
+            if found != expected:
+                raise TileError(
+                    f"{path}: {name}: {what} {found}, but {first_field} ({first_path.name}) has {expected}; "
+                    "all photographs of a tile must be alike: photograph or export it again"
+                )
+    if tile.mask:
+        info = probe(tile.mask)
+        if (info.rows, info.columns) != (first.rows, first.columns):
+            raise TileError(
+                f"{tile.mask}: mask: size {info.columns} x {info.rows} px, but the frames have "
+                f"{first.columns} x {first.rows} px; draw the mask on a frame"
+            )
+    return first
+
+
+def grid_of(tile: Tile, info: ImageInfo) -> PixelGrid:
+    """Where the pixels of a tile are on the plane.
+
+    The stand's framed field sets the scale; without a stand the capture's ``pixel_size_mm``
+    does; without either the unit of length is the pixel.
+    """
+    if tile.stand is not None:
+        camera = tile.stand.camera_position
+        size = tile.stand.field_mm[0] / info.columns
+        return PixelGrid(info.rows, info.columns, size, (camera[0], camera[1], camera[2]))
+    if tile.pixel_size_mm is not None:
+        return PixelGrid(info.rows, info.columns, tile.pixel_size_mm)
+    return PixelGrid(info.rows, info.columns, 1.0, unit="px")
+
+
+@dataclass
+class Exposure:
+    """What was seen of one photograph while it was read.
+
+    Attributes
+    ----------
+    pixels, saturated : int
+        Counts inside the mask.
+    total : float
+        Sum of the grey values, dark subtracted, as fractions of saturation.
+    """
+
+    pixels: int = 0
+    saturated: int = 0
+    total: float = 0.0
+
+    def add(self, values: Array, saturated: Array) -> None:
+        """Take in a band: values (n,) and flags (n,)."""
+        self.pixels += values.size
+        self.saturated += int(np.count_nonzero(saturated))
+        self.total += float(values.sum(dtype=np.float64))
+
+    def check(self, name: str, path: Path) -> None:
+        """Refuse a photograph that says nothing.
+
+        Raises
+        ------
+        TileError
+            When it is black, or saturated nearly everywhere.
+        """
+        if not self.pixels:
+            return
+        if self.saturated > BURNT * self.pixels:
+            raise TileError(
+                f"{path}: {name}: {self.saturated / self.pixels:.1%} of its pixels are saturated; "
+                "photograph again with a shorter exposure"
+            )
+        if self.total < BLACK * self.pixels:
+            raise TileError(
+                f"{path}: {name}: all black (mean {self.total / self.pixels:.5f} of saturation after the "
+                f"dark frame, at least {BLACK} is needed); see whether the lamp lit, and photograph again"
+            )
+
+
+@dataclass
+class Band:
+    """A band of rows, ready for a normal solver.
+
+    Attributes
+    ----------
+    start, stop : int
+        The rows.
+    images : (L, h, w, C) float32
+        Linear, dark subtracted, divided by power and plate.
+    weights : (L, h, w) float32
+        Inverse relative variance of the samples; 0 where saturated or outside the mask.
+    saturated : (L, h, w) bool
+        Where any channel is at the saturation level.
+    lights : (L, h, w, 3) or (L, 1, 1, 3) float32
+        Such that ``grey images = albedo * (lights . normal + ambient)``.
+    ambient : (L, h, w) float32 or None
+        Ambient light in the same units.
+    """
+
+    start: int
+    stop: int
+    images: Array
+    weights: Array
+    saturated: Array
+    lights: Array
+    ambient: Array | None
+
+
+@dataclass
+class Darkroom:
+    """The open photographs of a tile: frames or flats, the dark frame and the mask.
+
+    Use `darkroom` to open one.
+    """
+
+    grid: PixelGrid
+    info: ImageInfo
+    photographs: Mapping[str, Photograph]
+    paths: Mapping[str, Path]
+    dark: Photograph | None
+    mask: Photograph | None
+    subject: str
+    exposures: dict[str, Exposure] = field(default_factory=dict)
+
+    def raw(self, start: int, stop: int, lights: LightField) -> tuple[Array, Array, Array]:
+        """Read a band of every photograph.
+
+        Returns
+        -------
+        images : (L, h, w, C) float32
+            Linear, dark subtracted, divided by the lamps' power.
+        saturated : (L, h, w) bool
+        inside : (h, w) bool
+            The mask.
+        """
+        shape = (stop - start, self.grid.columns)
+        inside = np.ones(shape, bool)
+        if self.mask is not None:
+            inside = self.mask.band(start, stop).max(axis=-1) > 0
+        dark = self.dark.band(start, stop) if self.dark is not None else None
+        count = len(self.photographs)
+        images = np.empty((count, *shape, self.info.channels), np.float32)
+        saturated = np.empty((count, *shape), bool)
+        for i, (lamp, photograph) in enumerate(self.photographs.items()):
+            images[i] = photograph.band(start, stop)
+            saturated[i] = is_saturated(images[i])
+            if dark is not None:
+                images[i] -= dark
+            exposure = self.exposures.setdefault(lamp, Exposure())
+            exposure.add(grey(images[i])[inside], saturated[i][inside])
+            images[i] /= lights.power[i].astype(np.float32)
+        return images, saturated, inside
+
+    def bands(self, lights: LightField, plate: Plate | None, height: Array | None = None) -> Iterator[Band]:
+        """Develop all bands from top to bottom, then check the exposures.
+
+        Parameters
+        ----------
+        lights : LightField
+            The lamps.
+        plate : Plate, optional
+            What a flat plate reads; the images are divided by it along each lamp's ray.
+        height : (H, W) array, optional
+            Height of the pass before, mm; None: the plane.
+
+        Raises
+        ------
+        TileError
+            When a photograph is black or saturated throughout, or cannot be read.
+        """
+        for start, stop in bands(self.grid, len(self.photographs) * (self.info.channels * 4 + 24)):
+            images, saturated, inside = self.raw(start, stop, lights)
+            z = None if height is None else np.asarray(height[start:stop])
+            points = self.grid.points(start, stop, z)
+            weights = np.where(saturated | ~inside, np.float32(0), np.float32(1))
+            vectors = lights.vectors(points)
+            ambient = None
+            if lights.ambient.any():
+                ambient = np.broadcast_to(
+                    lights.ambient.astype(np.float32)[:, None, None], images.shape[:3]
+                ).copy()
+            if plate is not None:
+                vectors, ambient = _relative(images, weights, vectors, ambient, lights, plate, points)
+            yield Band(start, stop, images, weights, saturated & inside, vectors, ambient)
+        self.check()
+
+    def check(self) -> None:
+        """Refuse a photograph that turned out black or saturated throughout."""
+        for lamp, exposure in self.exposures.items():
+            exposure.check(f"{self.subject}.{lamp}", self.paths[lamp])
+
+
+def _relative(
+    images: Array,
+    weights: Array,
+    vectors: Array,
+    ambient: Array | None,
+    lights: LightField,
+    plate: Plate,
+    points: Array,
+) -> tuple[Array, Array | None]:
+    """Divide images by the plate, in place, and make the lights relative to it.
+
+    The plate is read where each lamp's ray meets the plane (numerics, section 1): power,
+    emission and fall-off cancel there, and only geometry is left.  With shot noise the
+    variance of ``I / F`` goes as ``1 / F``, so the plate is the weight.
+    """
+    origins = lights.plane_points(points)
+    relative = np.empty((len(images), *points.shape[1:], 3), np.float32)
+    for i in range(len(images)):
+        x, y = origins[i if len(origins) > 1 else 0]
+        reading = plate.at(i, x, y)
+        # A plate that is not known, or nearly dark, leaves the sample unknown.
+        usable: Array = np.all(np.isfinite(reading) & (reading > 1e-6 * plate.brightest), axis=-1)
+        reading = np.where(usable[..., None], reading, np.float32(1))
+        images[i] /= reading
+        brightness = grey(reading)
+        weights[i] *= np.where(usable, brightness / np.float32(plate.brightest), np.float32(0))
+        if ambient is not None:
+            ambient[i] /= brightness
+        if lights.near:
+            on_plane = lights.only(i).vectors(np.stack([x, y, np.zeros_like(x)]))[0, ..., 2]
+            relative[i] = vectors[i] / on_plane[..., None]
+        else:
+            relative[i] = vectors[i] / vectors[i, ..., 2:]
+    return relative, ambient
+
+
+@contextmanager
+def darkroom(tile: Tile, scratch: Path, *, flats: bool = False) -> Iterator[Darkroom]:
+    """Open the photographs of a tile (or of its flats) together.
+
+    Raises
+    ------
+    TileError
+        When they are missing, unreadable or do not fit together.
+    """
+    info = survey(tile)
+    paths = tile.flats if flats else tile.frames
+    if paths is None:
+        raise TileError(f"{tile.artwork}/{tile.name}: flats: are missing; add them to artwork.yaml")
+    with ExitStack() as stack:
+
+        def opened(path: Path, encoding: Encoding) -> Photograph:
+            return stack.enter_context(Photograph(path, encoding, scratch))
+
+        yield Darkroom(
+            grid=grid_of(tile, info),
+            info=info,
+            photographs={lamp: opened(path, tile.encoding) for lamp, path in paths.items()},
+            paths=paths,
+            dark=opened(tile.dark, tile.encoding) if tile.dark else None,
+            mask=opened(tile.mask, Encoding()) if tile.mask and not flats else None,
+            subject="flats" if flats else "frames",
+        )
+
+
+def bands(grid: PixelGrid, bytes_per_pixel: int) -> Iterator[tuple[int, int]]:
+    """Cut a grid into bands of rows that fit `BAND_BYTES`, as (start, stop)."""
+    rows = max(1, min(grid.rows, BAND_BYTES // max(1, bytes_per_pixel * grid.columns)))
+    for start in range(0, grid.rows, rows):
+        yield start, min(start + rows, grid.rows)

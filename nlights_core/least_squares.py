@@ -1,0 +1,211 @@
+"""Weighted linear least squares for normals, in closed form over whole bands of pixels."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from nlights_core.algorithms import Solution
+from nlights_core.frames import Array
+
+PRIOR_NOISE = 0.01
+"""Noise that one extra observation of it is assumed to have shown, as a share of the albedo: with
+three lights there is no residual to learn it from."""
+
+
+class Fit(NamedTuple):
+    """A least-squares fit in every pixel.
+
+    Attributes
+    ----------
+    scaled : (3, h, w) float64
+        Albedo times normal; NaN where it could not be found.
+    inverse : (6, h, w) float64
+        Upper triangle of the inverse normal matrix: xx, xy, xz, yy, yz, zz.
+    smallest : (h, w) float64
+        Smallest eigenvalue of the normal matrix.
+    """
+
+    scaled: Array
+    inverse: Array
+    smallest: Array
+
+
+def fit(images: Array, lights: Array, weights: Array, condition: float) -> Fit:
+    """Solve ``min sum_i w_i (I_i - l_i . b)^2`` for b in every pixel.
+
+    The 3 x 3 normal equations are inverted by cofactors (Cramer's rule): a batched library
+    solve takes a hundred times as long (numerics, section 2).
+
+    Parameters
+    ----------
+    images : (L, h, w) array
+        Grey images; whatever stands where the weight is 0, even NaN, is ignored.
+    lights : (L, h, w, 3) array, or broadcastable to it
+        Direction times irradiance.
+    weights : (L, h, w) array
+        Weights of the squared residuals, 0 for a sample that is not used.
+    condition : float
+        Largest allowed ratio of the light matrix's singular values; beyond it the pixel is
+        not known.
+
+    Returns
+    -------
+    Fit
+    """
+    shape = images.shape[1:]
+    matrix = np.zeros((6, *shape))
+    right = np.zeros((3, *shape))
+    count = np.zeros(shape, np.int16)
+    for image, light, weight in zip(images, lights, weights, strict=True):
+        used = weight > 0
+        count += used
+        w = weight.astype(np.float64)
+        x, y, z = (light[..., k].astype(np.float64) for k in range(3))
+        value = w * np.where(used, image, 0)
+        wx, wy, wz = w * x, w * y, w * z
+        for k, term in enumerate((wx * x, wx * y, wx * z, wy * y, wy * z, wz * z)):
+            matrix[k] += term
+        right[0] += value * x
+        right[1] += value * y
+        right[2] += value * z
+    inverse, smallest, well = _invert(matrix, condition)
+    scaled = _times(inverse, right)
+    scaled[:, ~(well & (count >= 3))] = np.nan
+    return Fit(scaled, inverse, smallest)
+
+
+def _invert(matrix: Array, condition: float) -> tuple[Array, Array, Array]:
+    """Invert symmetric 3 x 3 matrices; also the smallest eigenvalues and which are well conditioned."""
+    xx, xy, xz, yy, yz, zz = matrix
+    cofactors = np.stack(
+        [
+            yy * zz - yz * yz,
+            xz * yz - xy * zz,
+            xy * yz - xz * yy,
+            xx * zz - xz * xz,
+            xy * xz - xx * yz,
+            xx * yy - xy * xy,
+        ]
+    )
+    determinant = xx * cofactors[0] + xy * cofactors[1] + xz * cofactors[2]
+    smallest, largest = eigenvalues(matrix)
+    well = (smallest > 0) & (largest <= condition**2 * smallest) & (determinant > 0)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        inverse = cofactors / np.where(well, determinant, 1.0)
+    return inverse, smallest, well
+
+
+def eigenvalues(matrix: Array) -> tuple[Array, Array]:
+    """Smallest and largest eigenvalue of symmetric 3 x 3 matrices, by the trigonometric formula.
+
+    Parameters
+    ----------
+    matrix : (6, ...) float64 array
+        Upper triangles: xx, xy, xz, yy, yz, zz.
+
+    Returns
+    -------
+    smallest, largest : (...) float64 arrays
+
+    Examples
+    --------
+    >>> smallest, largest = eigenvalues(np.array([3.0, 0, 0, 2.0, 0, 1.0]))
+    >>> round(float(smallest), 12), round(float(largest), 12)
+    (1.0, 3.0)
+    """
+    xx, xy, xz, yy, yz, zz = matrix
+    mean = (xx + yy + zz) / 3
+    a, b, c = xx - mean, yy - mean, zz - mean
+    spread = np.sqrt((a * a + b * b + c * c + 2 * (xy * xy + xz * xz + yz * yz)) / 6)
+    determinant = a * (b * c - yz * yz) - xy * (xy * c - yz * xz) + xz * (xy * yz - b * xz)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        cosine = np.where(spread > 0, determinant / (2 * spread**3), 1.0)
+    angle = np.arccos(np.clip(cosine, -1, 1)) / 3
+    return mean + 2 * spread * np.cos(angle + 2 * np.pi / 3), mean + 2 * spread * np.cos(angle)
+
+
+def _times(symmetric: Array, vector: Array) -> Array:
+    """Multiply symmetric 3 x 3 matrices (6, ...) with vectors (3, ...)."""
+    xx, xy, xz, yy, yz, zz = symmetric
+    x, y, z = vector
+    return np.stack([xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, xz * x + yz * y + zz * z])
+
+
+def residual(image: Array, light: Array, scaled: Array) -> Array:
+    """What one light's image shows beyond the fit, (h, w) float64."""
+    shown = sum(light[..., k] * scaled[k] for k in range(3))
+    return np.asarray(image - shown)
+
+
+def leverage(light: Array, weight: Array, inverse: Array) -> Array:
+    """How strongly one sample determines its own prediction, (h, w) float64 in 0..1."""
+    direction = np.moveaxis(np.broadcast_to(light, (*inverse.shape[1:], 3)).astype(np.float64), -1, 0)
+    return np.asarray(weight * np.sum(direction * _times(inverse, direction), axis=0))
+
+
+def solution(images: Array, lights: Array, weights: Array, found: Fit) -> Solution:
+    """Split a fit into unit normal, albedo and confidence.
+
+    The confidence is ``1 / (1 + sigma / 1 degree)``, where sigma is the standard error of the
+    normal that the residual and the smallest eigenvalue imply: 0.5 at one degree.
+
+    Parameters
+    ----------
+    images, lights, weights : arrays
+        As given to `fit`.
+    found : Fit
+        Its result.
+
+    Returns
+    -------
+    Solution
+        A fit with an albedo that is not positive, or whose normal points away from the
+        camera, is not known.
+    """
+    albedo = np.sqrt(np.sum(found.scaled**2, axis=0))
+    known = np.isfinite(albedo) & (albedo > 0) & (found.scaled[2] > 0)
+    albedo = np.where(known, albedo, np.nan)
+    squares = np.zeros(albedo.shape)
+    count = np.zeros(albedo.shape)
+    total = np.zeros(albedo.shape)
+    for image, light, weight in zip(images, lights, weights, strict=True):
+        used = weight > 0
+        missed = np.where(used, residual(image, light, found.scaled), 0.0)
+        squares += weight * missed**2
+        total += weight
+        count += used
+    mean_weight = total / np.maximum(count, 1)
+    prior = mean_weight * (PRIOR_NOISE * albedo) ** 2
+    variance = (squares + prior) / np.maximum(count - 2, 1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        sigma = np.degrees(np.sqrt(variance / np.maximum(found.smallest, 0)) / albedo)
+    normals = np.moveaxis(found.scaled / albedo, 0, -1)
+    return Solution(
+        normals=normals.astype(np.float32),
+        albedo=albedo.astype(np.float32),
+        confidence=np.where(known, 1 / (1 + sigma), 0).astype(np.float32),
+        weights=np.where(known, weights, 0).astype(np.float32),
+    )
+
+
+def lit(images: Array, weights: Array, shadow: float) -> Array:
+    """Weights without shadows: samples below a share of the pixel's brightest get 0.
+
+    Parameters
+    ----------
+    images, weights : (L, h, w) arrays
+    shadow : float
+        Share of the pixel's brightest usable sample; 0 keeps all.
+
+    Returns
+    -------
+    (L, h, w) float32 array
+        A new array.
+    """
+    used = (weights > 0) & np.isfinite(images)
+    if shadow == 0:
+        return np.where(used, weights, 0).astype(np.float32)
+    brightest = np.max(np.where(used, images, -np.inf), axis=0)
+    return np.where(used & (images > shadow * brightest), weights, 0).astype(np.float32)

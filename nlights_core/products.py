@@ -1,0 +1,311 @@
+"""Products: what leaves the system for a tile, written from its artefacts and published whole."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import uuid
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nlights_core import __version__, export, meshes, quality
+from nlights_core.arrays import BandWriter, read_array
+from nlights_core.capture import Tile
+from nlights_core.errors import TileError
+from nlights_core.frames import Array, PixelGrid
+from nlights_core.store import RECORD, ArtefactRef, Progress, Store
+
+FRAME = "plane frame: x right, y up, z from the artwork to the camera; NaN where not known"
+
+WHAT = {
+    "normals.tif": "unit normals x, y, z in the plane frame, float32",
+    "normals_opengl.png": "the normals as colours for viewing, 8 bit, OpenGL convention (+Y up)",
+    "albedo.tif": "albedo, float32, linear",
+    "albedo_view.tif": "the albedo for viewing, 16 bit, sRGB",
+    "reflection.tif": "reflection map: apparent colour minus albedo, float32, linear, signed",
+    "height.tif": "height towards the camera, float32",
+    "confidence.tif": "confidence in each normal, float32, 0 (unknown) to 1",
+    "trend.tif": "what detrending removed from the height, float32",
+    "mesh.ply": "mesh with a vertex per pixel",
+    "mesh.glb": "decimated mesh with the albedo as its texture, metres",
+    "report.html": "pictures and numbers",
+    "quality.json": "the numbers of the report",
+    "provenance.json": "what made these files, in full",
+}
+
+
+def open_maps(store: Store, normals: ArtefactRef, height: ArtefactRef) -> dict[str, Array]:
+    """Open the maps of a tile as memory maps, by name."""
+    source, surface = store.path(normals), store.path(height)
+    names = ("normals", "albedo", "apparent", "confidence", "residual", "used", "saturated")
+    maps = {name: read_array(source / f"{name}.npy") for name in names}
+    maps["height"] = read_array(surface / "height.npy")
+    if (surface / "trend.npy").exists():
+        maps["trend"] = read_array(surface / "trend.npy")
+    return maps
+
+
+def write_maps(
+    folder: Path,
+    maps: Mapping[str, Array],
+    grid: PixelGrid,
+    *,
+    white: float | None,
+    icc: bytes | None,
+    progress: Progress,
+) -> None:
+    """Write every product that is an image.
+
+    Parameters
+    ----------
+    folder : Path
+        Where they go.
+    maps : mapping
+        Of `open_maps`.
+    grid : PixelGrid
+        Where the pixels are.
+    white : float or None
+        Albedo of the white plate, which makes the albedo absolute; None without a plate.
+    icc : bytes or None
+        Colour profile of the photographs, kept in the albedo and the reflection map.
+    progress : callable
+        Told the share done.
+
+    Raises
+    ------
+    TileError
+        When not a single normal could be solved.
+    OSError
+        When the disk is full.
+    """
+    scale = np.float32(1.0 if white is None else white)
+    said = (
+        f"linear, 1 is a perfect diffuser (white reference of reflectance {white:g})"
+        if white is not None
+        else "linear, relative (there was no white reference)"
+    )
+    bytes_per_row = maps["albedo"][:1].nbytes
+    with (
+        BandWriter(folder / ".albedo.npy", maps["albedo"].shape) as albedo,
+        BandWriter(folder / ".reflection.npy", maps["albedo"].shape) as reflection,
+    ):
+        known = False
+        for band in export.bands(grid.rows, bytes_per_row):
+            part = scale * maps["albedo"][band]
+            known = known or bool(np.isfinite(part).any())
+            albedo.write(part)
+            reflection.write(scale * maps["apparent"][band] - part)
+    if not known:
+        raise TileError(
+            "normals: not a single pixel has three usable lights; see the mask, the saturation level and "
+            "the frames themselves"
+        )
+    progress(0.3)
+    albedo_map, reflection_map = (read_array(folder / f".{n}.npy") for n in ("albedo", "reflection"))
+
+    def tiff(name: str, array: Array, what: str, profile: bytes | None = None) -> None:
+        export.write_tiff(folder / name, array, grid, description=what, icc=profile)
+
+    tiff("normals.tif", maps["normals"], f"Unit normals x, y, z; {FRAME}")
+    export.write_normals_view(folder / "normals_opengl.png", maps["normals"])
+    tiff("albedo.tif", albedo_map, f"Albedo; {said}; NaN where not known", icc)
+    export.write_albedo_view(folder / "albedo_view.tif", _viewable(albedo_map, white), grid)
+    tiff("reflection.tif", reflection_map, f"Apparent colour minus albedo; {said}; signed", icc)
+    progress(0.7)
+    tiff("height.tif", maps["height"], f"Height in {grid.unit}, its constant free; {FRAME}")
+    tiff(
+        "confidence.tif", maps["confidence"], "Confidence in the normal: 1 / (1 + standard error / 1 degree)"
+    )
+    if "trend" in maps:
+        tiff("trend.tif", maps["trend"], f"Trend removed from the height, {grid.unit}")
+    for name in ("albedo", "reflection"):
+        (folder / f".{name}.npy").unlink()
+    progress(1.0)
+
+
+def _viewable(albedo: Array, white: float | None) -> Array:
+    """Albedo for viewing: as it is where it is absolute, else its brightest set to 0.9."""
+    if white is not None:
+        return albedo
+    bright = float(np.nanpercentile(quality.sampled(albedo), 99.5))
+    return np.asarray(albedo * np.float32(0.9 / bright)) if bright > 0 else albedo
+
+
+def write_meshes(folder: Path, height: Array, maps: Path, grid: PixelGrid, progress: Progress) -> None:
+    """Write ``mesh.ply``, ``mesh.glb`` and what is to be said of them, ``mesh.json``.
+
+    Raises
+    ------
+    TileError
+        When no pixels lie together, so that there is no surface.
+    """
+    import tifffile
+
+    albedo = tifffile.memmap(maps / "albedo.tif", mode="r")
+    vertices, faces = meshes.write_ply(
+        folder / "mesh.ply", height, albedo, grid, lambda share: progress(0.6 * share)
+    )
+    try:
+        light = meshes.write_glb(folder / "mesh.glb", height, albedo, grid)
+    except ValueError as fault:
+        raise TileError(f"mesh: {fault}") from None
+    summary = {"ply": {"vertices": vertices, "faces": faces}, "glb": light}
+    (folder / "mesh.json").write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
+
+
+def write_report(
+    folder: Path,
+    store: Store,
+    tile: Tile,
+    record: Mapping[str, Any],
+    refs: Mapping[str, ArtefactRef | None],
+    grid: PixelGrid,
+) -> None:
+    """Write ``report.html``, ``quality.json`` and ``provenance.json``."""
+    import tifffile
+
+    from nlights_core.report import write_report as write_html
+
+    made = {name: store.path(ref) for name, ref in refs.items() if ref is not None}
+    normals, height = refs["normals"], refs["height"]
+    assert normals is not None
+    assert height is not None
+    maps = open_maps(store, normals, height)
+    for name in ("albedo", "reflection"):
+        maps[name] = tifffile.memmap(made["maps"] / f"{name}.tif", mode="r")
+    if "plate" in made:
+        maps["plate"] = np.exp(np.load(made["plate"] / "plate.npy"))
+    if "bias" in made:
+        maps["bias"] = read_array(made["bias"] / "bias.npy")
+    numbers = quality.measure(maps, grid)
+    provenance = {
+        "nlights": __version__,
+        "artwork": tile.artwork,
+        "title": tile.title,
+        "tile": tile.name,
+        "origin_mm": list(tile.origin_mm),
+        "key": record["key"],
+        "recipe": record["facts"]["recipe"],
+        "stand": record["facts"]["stand"],
+        "photographs": {lamp: path.name for lamp, path in tile.frames.items()},
+        "stages": _lineage(store, refs),
+    }
+    files = [*made["maps"].iterdir(), *made["mesh"].iterdir()]
+    write_html(
+        folder / "report.html",
+        {
+            "artwork": tile.artwork,
+            "title": tile.title,
+            "tile": tile.name,
+            "origin_mm": list(tile.origin_mm),
+            "stand": tile.stand.name if tile.stand else None,
+            "recipe": record["facts"]["recipe"],
+            "lamps": list(tile.lamps),
+            "lights": json.loads((made["lights"] / "lights.json").read_text()),
+            "mesh": json.loads((made["mesh"] / "mesh.json").read_text()),
+            "version": __version__,
+            "key": record["key"],
+            "files": [
+                {"name": path.name, "bytes": path.stat().st_size, "what": WHAT[path.name]}
+                for path in sorted(files)
+                if path.name in WHAT
+            ],
+        },
+        maps,
+        grid,
+        numbers,
+    )
+    _write_json(folder / "quality.json", [asdict(number) for number in numbers])
+    _write_json(folder / "provenance.json", provenance)
+
+
+def _lineage(store: Store, refs: Mapping[str, ArtefactRef | None]) -> list[dict[str, Any]]:
+    """Records of all artefacts behind some, each once, causes first, without times and places."""
+    found: dict[str, dict[str, Any]] = {}
+
+    def visit(folder: str) -> None:
+        record = json.loads((store.root / folder / RECORD).read_text(encoding="utf-8"))
+        for cause in record.pop("input_folders").values():
+            visit(cause)
+        record.pop("seconds")
+        found.setdefault(record["key"], record)
+
+    for ref in refs.values():
+        if ref is not None:
+            visit(ref.folder)
+    return list(found.values())
+
+
+def publish(store: Store, tile: Tile, refs: Mapping[str, ArtefactRef], out: Path) -> Path:
+    """Put a tile's products where people look for them: ``out/<artwork>/<tile>/``.
+
+    The folder appears whole.  Files are hard links into the store where the file system allows
+    (so that they take no second place; they are read-only for that reason), copies otherwise.
+    What people added to the folder is kept, but an evaluation of other products is not.
+
+    Parameters
+    ----------
+    store : Store
+    tile : Tile
+    refs : mapping
+        The artefacts "maps", "mesh" and "report".
+    out : Path
+        Folder of all products.
+
+    Returns
+    -------
+    Path
+        The tile's folder.
+    """
+    target = out / tile.artwork / tile.name
+    files = [
+        path
+        for name in ("maps", "mesh", "report")
+        for path in sorted(store.path(refs[name]).iterdir())
+        if path.name in WHAT
+    ]
+    if _published(target, refs["report"], files):
+        return target
+    target.parent.mkdir(parents=True, exist_ok=True)
+    draft = target.parent / f".draft-{uuid.uuid4().hex[:8]}"
+    draft.mkdir()
+    try:
+        for path in files:
+            _place(path, draft / path.name)
+        if target.is_dir():
+            for path in target.iterdir():
+                if path.name not in WHAT and path.name != "evaluation.json":
+                    path.rename(draft / path.name)
+            old = target.rename(target.parent / f".old-{uuid.uuid4().hex[:8]}")
+            draft.rename(target)
+            shutil.rmtree(old)
+        else:
+            draft.rename(target)
+    finally:
+        shutil.rmtree(draft, ignore_errors=True)
+    return target
+
+
+def _published(target: Path, report: ArtefactRef, files: list[Path]) -> bool:
+    try:
+        provenance = json.loads((target / "provenance.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return False
+    return provenance.get("key") == report.key and all((target / path.name).exists() for path in files)
+
+
+def _place(source: Path, target: Path) -> None:
+    source.chmod(0o444)
+    try:
+        os.link(source, target)
+    except OSError:
+        shutil.copyfile(source, target)
+
+
+def _write_json(path: Path, value: Any) -> None:
+    path.write_text(json.dumps(value, indent=1) + "\n", encoding="utf-8")

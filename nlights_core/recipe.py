@@ -1,0 +1,204 @@
+"""Recipes: which algorithm fills each slot."""
+
+from __future__ import annotations
+
+import difflib
+from typing import Any
+
+from pydantic import ConfigDict, Field, SerializeAsAny, ValidationError
+
+from nlights_core.algorithms import (
+    Algorithm,
+    HeightDetrend,
+    ImageDetrend,
+    Integrator,
+    LightModel,
+    NormalDetrend,
+    NormalSolver,
+)
+from nlights_core.configurations import Source, explain, find
+from nlights_core.errors import RecipeError
+from nlights_core.registry import Registry, installed
+from nlights_core.stands import Record
+
+
+class Detrends(Record):
+    """The optional corrections; each returns the nuisance, the stage removes and keeps it."""
+
+    images: SerializeAsAny[ImageDetrend] | None = None
+    normals: SerializeAsAny[NormalDetrend] | None = None
+    height: SerializeAsAny[HeightDetrend] | None = None
+
+
+class Recipe(Record):
+    """A whole recipe: plain, frozen, picklable."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", arbitrary_types_allowed=True)
+
+    name: str = Field(description="the file's name without its ending")
+    light_model: SerializeAsAny[LightModel]
+    detrend: Detrends = Detrends()
+    normals: SerializeAsAny[NormalSolver]
+    integrator: SerializeAsAny[Integrator]
+    passes: int = Field(
+        default=1,
+        ge=1,
+        le=5,
+        description="how often normals and height are computed; from the second on, near lights see "
+        "the height of the pass before",
+    )
+
+    def record(self) -> dict[str, Any]:
+        """The recipe as it could be written in YAML, with every option spelled out."""
+        detrend = {
+            slot: described(value)
+            for slot in Detrends.model_fields
+            if (value := getattr(self.detrend, slot)) is not None
+        }
+        return {
+            "light_model": described(self.light_model),
+            **({"detrend": detrend} if detrend else {}),
+            "normals": described(self.normals),
+            "integrator": described(self.integrator),
+            "passes": self.passes,
+        }
+
+
+def described(algorithm: Algorithm) -> dict[str, Any]:
+    """An algorithm as a recipe names it: ``{use: name, option: value, ...}``."""
+    return {"use": algorithm.name, **algorithm.model_dump(mode="json")}
+
+
+REQUIRED = ("light_model", "normals", "integrator")
+
+
+def load_recipe(what: str, registry: Registry | None = None) -> Recipe:
+    """Load a recipe by the name of a shipped one or by a path.
+
+    Parameters
+    ----------
+    what : str
+        ``default``, or a path that ends in .yaml.
+    registry : Registry, optional
+        The algorithms to choose from; those installed by default.
+
+    Raises
+    ------
+    RecipeError
+        Every fault at once, each with file, line, field, what was found and what is allowed.
+    """
+    source = Source(find(what, "recipes", RecipeError), RecipeError)
+    return _Reader(source, registry or installed()).recipe(source.path.stem)
+
+
+class _Reader:
+    """Turns a mapping into a recipe while collecting every fault."""
+
+    def __init__(self, source: Source, registry: Registry) -> None:
+        self.source, self.registry = source, registry
+        self.faults: list[str] = []
+
+    def recipe(self, name: str) -> Recipe:
+        data = self.source.data
+        self._refuse_unknown((), data, ["light_model", "detrend", "normals", "integrator", "passes"])
+        chosen = {slot: self._algorithm((slot,), data.get(slot)) for slot in REQUIRED if self._has(slot)}
+        detrend = data.get("detrend")
+        removed: dict[str, Any] = {}
+        if isinstance(detrend, dict):
+            self._refuse_unknown(("detrend",), detrend, list(Detrends.model_fields))
+            known = [k for k in detrend if k in Detrends.model_fields and detrend[k] is not None]
+            removed = {k: self._algorithm(("detrend", k), detrend[k]) for k in known}
+        elif detrend is not None:
+            self.faults.append(self.source.fault(("detrend",), f"should be a mapping; got {detrend!r}"))
+        passes = {"passes": data["passes"]} if "passes" in data else {}
+        if not self.faults:
+            try:
+                return Recipe(name=name, detrend=Detrends(**removed), **chosen, **passes)
+            except ValidationError as faults:
+                self.faults += self.source.sentences(faults, Recipe)
+        raise RecipeError("\n".join(self.faults))
+
+    def _has(self, slot: str) -> bool:
+        if slot in self.source.data:
+            return True
+        names = ", ".join(o.algorithm.name for o in self.registry.offers(slot))
+        self.faults.append(
+            f"{self.source.path}: {slot}: is missing; add it, for instance with use: one of {names}"
+        )
+        return False
+
+    def _refuse_unknown(self, location: tuple[str, ...], data: dict[str, Any], allowed: list[str]) -> None:
+        for key in data:
+            if key not in allowed:
+                near = difflib.get_close_matches(str(key), allowed, n=1)
+                hint = f"did you mean '{near[0]}'? " if near else ""
+                self.faults.append(
+                    self.source.fault(
+                        (*location, key), f"unknown field; {hint}allowed here: {', '.join(allowed)}"
+                    )
+                )
+
+    def _algorithm(self, location: tuple[str, ...], data: Any) -> Algorithm | None:
+        slot = ".".join(location)
+        if isinstance(data, str):
+            data = {"use": data}
+        if not isinstance(data, dict) or not isinstance(data.get("use"), str):
+            self.faults.append(
+                self.source.fault(location, f"should be like {{use: name, ...}}; got {data!r}")
+            )
+            return None
+        offer = self.registry.get(slot, data["use"])
+        if offer is None:
+            self.faults.append(self.source.fault((*location, "use"), self._unknown(slot, data["use"])))
+            return None
+        options = {k: v for k, v in data.items() if k != "use"}
+        try:
+            return offer.algorithm.model_validate(options)
+        except ValidationError as faults:
+            fields = list(offer.algorithm.model_fields)
+            for fault in faults.errors():
+                sentence = explain(dict(fault), fields if len(fault["loc"]) == 1 else None)
+                self.faults.append(self.source.fault(location + fault["loc"], sentence))
+            return None
+
+    def _unknown(self, slot: str, name: str) -> str:
+        offers = self.registry.offers(slot)
+        near = difflib.get_close_matches(name, [o.algorithm.name for o in offers], n=1)
+        width = max((len(o.algorithm.name) for o in offers), default=0)
+        listed = "".join(f"\n    available: {o.algorithm.name:{width}}  ({o.origin})" for o in offers)
+        what = slot.replace("detrend.", "detrend of ").replace("_", " ")
+        hint = f"; did you mean '{near[0]}'?" if near else ""
+        return f"no {what} is called '{name}'{hint}{listed}"
+
+
+def recipe_schema(registry: Registry | None = None) -> dict[str, Any]:
+    """JSON schema of a recipe over what is installed, for editors."""
+    registry = registry or installed()
+
+    def choice(slot: str) -> dict[str, Any]:
+        options = []
+        for offer in registry.offers(slot):
+            schema = offer.algorithm.model_json_schema()
+            schema["properties"] = {"use": {"const": offer.algorithm.name}, **schema.get("properties", {})}
+            schema["required"] = ["use", *schema.get("required", [])]
+            options.append(schema)
+        return {"anyOf": options}
+
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": "nLights recipe",
+        "type": "object",
+        "additionalProperties": False,
+        "required": list(REQUIRED),
+        "properties": {
+            "light_model": choice("light_model"),
+            "detrend": {
+                "type": "object",
+                "additionalProperties": False,
+                "properties": {name: choice(f"detrend.{name}") for name in Detrends.model_fields},
+            },
+            "normals": choice("normals"),
+            "integrator": choice("integrator"),
+            "passes": {"type": "integer", "minimum": 1, "maximum": 5, "default": 1},
+        },
+    }

@@ -1,0 +1,171 @@
+"""Which algorithms are installed: the one hook, and the checks at the door.
+
+A distribution offers algorithms by an entry point in the group ``nlights`` that names a module
+with the hook::
+
+    from nlights_core.registry import hookimpl
+
+    @hookimpl
+    def nlights_algorithms():
+        return [CosineBasis]
+
+The bundled algorithms come through the same door.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cache, lru_cache
+from importlib import metadata
+from pathlib import Path
+from typing import cast
+
+import pluggy
+
+import nlights_core
+from nlights_core.algorithms import KINDS, Algorithm
+from nlights_core.errors import PluginError
+
+GROUP = "nlights"
+hookspec = pluggy.HookspecMarker(GROUP)
+hookimpl = pluggy.HookimplMarker(GROUP)
+
+
+class Hooks:
+    """Every hook there is."""
+
+    @hookspec
+    def nlights_algorithms(self) -> Iterable[type[Algorithm]]:  # type: ignore[empty-body]
+        """Return the classes of algorithms that this plugin offers."""
+
+
+@dataclass(frozen=True)
+class Offer:
+    """An algorithm and the distribution that offers it."""
+
+    algorithm: type[Algorithm]
+    distribution: str
+    version: str
+
+    @property
+    def origin(self) -> str:
+        """Distribution and version, as people write them."""
+        return f"{self.distribution} {self.version}"
+
+
+class Registry:
+    """The algorithms at hand, by slot and name.
+
+    Parameters
+    ----------
+    offers : iterable of Offer
+        Checked one by one: complete, of a known kind, named, and named only once.
+
+    Raises
+    ------
+    PluginError
+        Naming the distribution at fault.
+    """
+
+    def __init__(self, offers: Iterable[Offer]) -> None:
+        self._offers: dict[tuple[str, str], Offer] = {}
+        for offer in offers:
+            _check(offer)
+            key = (offer.algorithm.slot, offer.algorithm.name)
+            other = self._offers.get(key)
+            if other is not None:
+                raise PluginError(
+                    f"{key[0]}: '{key[1]}' is offered by {other.origin} and by {offer.origin}; "
+                    "uninstall one of them"
+                )
+            self._offers[key] = offer
+
+    def offers(self, slot: str | None = None) -> list[Offer]:
+        """What is on offer, for one slot or for all, sorted by slot and name."""
+        order = [kind.slot for kind in KINDS]
+        found = [o for (s, _), o in self._offers.items() if slot in (None, s)]
+        return sorted(found, key=lambda o: (order.index(o.algorithm.slot), o.algorithm.name))
+
+    def get(self, slot: str, name: str) -> Offer | None:
+        """Look an offer up."""
+        return self._offers.get((slot, name))
+
+    def origin(self, algorithm: Algorithm) -> str:
+        """Name the distribution that offers an algorithm, with its version."""
+        offer = self._offers.get((algorithm.slot, algorithm.name))
+        return offer.origin if offer else "not installed"
+
+
+def _check(offer: Offer) -> None:
+    """Refuse a class that could fail later, at night."""
+    cls = offer.algorithm
+    if not (isinstance(cls, type) and issubclass(cls, Algorithm)):
+        raise PluginError(f"{offer.origin}: offers {cls!r}, which is no subclass of Algorithm")
+    if not issubclass(cls, KINDS):
+        raise PluginError(
+            f"{offer.origin}: {cls.__name__} is of no known kind; subclass one of "
+            + ", ".join(kind.__name__ for kind in KINDS)
+        )
+    if not isinstance(getattr(cls, "name", None), str):
+        raise PluginError(f"{offer.origin}: {cls.__name__} has no name; set name: ClassVar[str]")
+    if inspect.isabstract(cls):
+        missing = ", ".join(sorted(cls.__abstractmethods__))
+        raise PluginError(f"{offer.origin}: {cls.__name__} lacks {missing}")
+
+
+@lru_cache(maxsize=1)
+def installed() -> Registry:
+    """Load every installed plugin, once per process.
+
+    Raises
+    ------
+    PluginError
+        When a distribution cannot be loaded, offers a misspelt hook, or what it offers is
+        incomplete or already taken.
+    """
+    manager = pluggy.PluginManager(GROUP)
+    manager.add_hookspecs(Hooks)
+    offers: list[Offer] = []
+    for entry in sorted(metadata.entry_points(group=GROUP), key=lambda e: (e.name != "bundled", e.name)):
+        distribution = entry.dist.metadata["Name"] if entry.dist else "unknown distribution"
+        version = entry.dist.version if entry.dist else "0"
+        try:
+            plugin = entry.load()
+            name = manager.register(plugin, name=f"{distribution}:{entry.name}")
+            manager.check_pending()
+        except Exception as fault:
+            raise PluginError(
+                f"{distribution} {version}: cannot be loaded ({fault}); repair or uninstall it"
+            ) from fault
+        callers = [c for c in manager.hook.nlights_algorithms.get_hookimpls() if c.plugin_name == name]
+        if not callers:
+            raise PluginError(
+                f"{distribution} {version}: {entry.value} has no hook nlights_algorithms; "
+                "mark one with @hookimpl, or uninstall it"
+            )
+        classes = cast(Iterable[type[Algorithm]], callers[0].function())
+        offers += [Offer(cls, distribution, version) for cls in classes]
+    return Registry(offers)
+
+
+@cache
+def code_digest(cls: type[Algorithm]) -> str:
+    """Digest of the code behind an algorithm: its module's file, sha256, 16 hexadecimal digits.
+
+    It is part of the cache key, so that an edited plugin computes anew.
+    """
+    path = inspect.getsourcefile(cls)
+    source = Path(path).read_bytes() if path else cls.__qualname__.encode()
+    return hashlib.sha256(source).hexdigest()[:16]
+
+
+@lru_cache(maxsize=1)
+def core_digest() -> str:
+    """Version of the core and digest of its source: what every cache key starts with."""
+    digest = hashlib.sha256()
+    for path in sorted(Path(nlights_core.__file__).parent.glob("*.py")):
+        digest.update(path.name.encode() + b"\0" + path.read_bytes())
+    return f"{nlights_core.__version__}-{digest.hexdigest()[:16]}"

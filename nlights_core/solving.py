@@ -1,0 +1,162 @@
+"""The normal stage's work: solve bands of a tile and write what was found.
+
+Files, all on the photograph's grid: ``normals.npy`` (H, W, 3), ``albedo.npy`` (H, W, C),
+``apparent.npy`` (H, W, C), ``confidence.npy`` and ``residual.npy`` (H, W), all float32, and
+``used.npy`` and ``saturated.npy`` (H, W) uint8: counts of lights.
+"""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
+
+from nlights_core.algorithms import NormalSolver, Solution
+from nlights_core.arrays import BandWriter
+from nlights_core.development import Band, Darkroom
+from nlights_core.fields import LightField
+from nlights_core.frames import Array
+from nlights_core.images import grey
+from nlights_core.plates import Plate
+from nlights_core.store import Progress
+
+AMBIENT_ROUNDS = 4
+"""Ambient light is a share of an albedo that is itself solved for; the fixed point of that is
+reached to 1e-4 in four rounds for an ambient share of 10 %."""
+
+
+def solve(
+    room: Darkroom,
+    solver: NormalSolver,
+    lights: LightField,
+    plate: Plate | None,
+    height: Array | None,
+    folder: Path,
+    progress: Progress,
+    bias: Array | None = None,
+) -> None:
+    """Solve a tile band by band into a folder.
+
+    Parameters
+    ----------
+    room : Darkroom
+        The open photographs.
+    solver : NormalSolver
+        Sees one band of plain arrays at a time.
+    lights, plate : LightField, Plate or None
+        See `nlights_core.development`.
+    height : (H, W) array or None
+        Height of the pass before, mm.
+    folder : Path
+        Where the files go.
+    progress : callable
+        Told the share done.
+    bias : (H, W, 3) array, optional
+        Subtracted from the normals, which are then made unit again.
+
+    Raises
+    ------
+    TileError
+        When a photograph cannot be read or says nothing.
+    """
+    shape, channels = room.grid.shape, room.info.channels
+    files = {
+        "normals": ((*shape, 3), np.float32),
+        "albedo": ((*shape, channels), np.float32),
+        "apparent": ((*shape, channels), np.float32),
+        "confidence": (shape, np.float32),
+        "residual": (shape, np.float32),
+        "used": (shape, np.uint8),
+        "saturated": (shape, np.uint8),
+    }
+    with ExitStack() as stack:
+        out = {
+            name: stack.enter_context(BandWriter(folder / f"{name}.npy", *kind))
+            for name, kind in files.items()
+        }
+        for band in room.bands(lights, plate, height):
+            found = _solved(solver, band)
+            normals = found.normals
+            if bias is not None:
+                normals = normals - bias[band.start : band.stop]
+                normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+            shading = _shading(found, band)
+            out["normals"].write(normals)
+            out["albedo"].write(coloured_albedo(band.images, shading, found.weights))
+            out["apparent"].write(_apparent(band))
+            out["confidence"].write(found.confidence)
+            out["residual"].write(relative_residual(band.images, shading, found))
+            out["used"].write(_count(found.weights > 0))
+            out["saturated"].write(_count(band.saturated))
+            progress(band.stop / room.grid.rows)
+
+
+def _solved(solver: NormalSolver, band: Band) -> Solution:
+    """Solve a band; where there is ambient light, subtract its share and solve again."""
+    images = grey(band.images)
+    found = solver.solve(images, band.lights, band.weights)
+    if band.ambient is not None:
+        for _ in range(AMBIENT_ROUNDS):
+            share = band.ambient * np.nan_to_num(found.albedo)
+            found = solver.solve(images - share, band.lights, band.weights)
+    return found
+
+
+def _shading(found: Solution, band: Band) -> Array:
+    """What each light would show of an albedo of 1, (L, h, w) float32."""
+    shading = np.empty(band.weights.shape, np.float32)
+    for i, light in enumerate(band.lights):
+        shading[i] = np.einsum("hwk,hwk->hw", np.broadcast_to(light, found.normals.shape), found.normals)
+    if band.ambient is not None:
+        shading += band.ambient
+    return shading
+
+
+def coloured_albedo(images: Array, shading: Array, weights: Array) -> Array:
+    """Albedo of every channel, with the normal known.
+
+    ``albedo_c = sum(w s I_c) / sum(w s^2)``, s the shading (numerics, section 2).
+
+    Parameters
+    ----------
+    images : (L, h, w, C) float32 array
+    shading, weights : (L, h, w) float32 arrays
+        Weight 0: the sample was discarded.
+
+    Returns
+    -------
+    (h, w, C) float32 array
+        NaN where not known.
+    """
+    out = np.zeros(images.shape[1:], np.float32)
+    total = np.zeros(images.shape[1:3], np.float32)
+    for image, s, w in zip(images, shading, weights, strict=True):
+        share = np.where(w > 0, w * s, np.float32(0))
+        out += share[..., None] * image
+        total += np.where(w > 0, share * s, np.float32(0))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        out /= np.where(total > 0, total, np.nan)[..., None]
+    return out
+
+
+def relative_residual(images: Array, shading: Array, found: Solution) -> Array:
+    """Weighted rms of what the solution does not explain, as a share of the albedo, (h, w)."""
+    squares = np.zeros(found.albedo.shape, np.float32)
+    total = np.zeros(found.albedo.shape, np.float32)
+    for image, s, w in zip(images, shading, found.weights, strict=True):
+        missed = np.where(w > 0, grey(image) - found.albedo * s, np.float32(0))
+        squares += w * missed**2
+        total += w
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(np.sqrt(squares / np.where(total > 0, total, np.nan)) / found.albedo)
+
+
+def _apparent(band: Band) -> Array:
+    """Apparent colour: the mean over lamps, as a flat matt surface of that albedo would show it."""
+    upward = sum(np.broadcast_to(light[..., 2], band.images.shape[1:3]) for light in band.lights)
+    return np.asarray(band.images.sum(axis=0) / np.asarray(upward)[..., None], np.float32)
+
+
+def _count(flags: Array) -> Array:
+    return np.minimum(np.count_nonzero(flags, axis=0), 255).astype(np.uint8)

@@ -1,0 +1,345 @@
+"""Stages: references in, one reference out; the only place where files meet algorithms.
+
+Each function names the work (`nlights_core.store.Work`) without doing it, so that planning,
+calling directly and running as a Prefect task are the same words.  ``Work.make`` gets, runs and
+puts; an algorithm never sees a file, and a stage never sees Prefect.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nlights_core import products, solving
+from nlights_core.algorithms import (
+    HeightDetrend,
+    ImageDetrend,
+    Integrator,
+    LightModel,
+    NormalDetrend,
+    NormalSolver,
+)
+from nlights_core.arrays import BandWriter, read_array, write_array
+from nlights_core.capture import Tile
+from nlights_core.development import Darkroom, bands, darkroom, grid_of, survey
+from nlights_core.errors import TileError
+from nlights_core.fields import HeightMap, LightField, NormalField
+from nlights_core.frames import Array, PixelGrid
+from nlights_core.images import Photograph, grey, reduced
+from nlights_core.memory import require
+from nlights_core.plates import Plate, block_size, continued
+from nlights_core.store import ArtefactRef, Progress, Store, Work, describe
+
+FLATS = "_flats"
+"""Where artefacts go that belong to a flat set, not to a tile; no tile can have this name."""
+
+SAMPLES = 5000
+"""How many pixels the refinement of lamp strengths looks at."""
+
+
+def _photographed(store: Store, tile: Tile, which: str) -> dict[str, Any]:
+    """Digests and settings of the photographs that a stage reads."""
+    paths = tile.flats if which == "flats" else tile.frames
+    if paths is None:
+        raise TileError(
+            f"{tile.artwork}/{tile.name}: flats: the recipe needs photographs of a flat white reference; add "
+            "flats to artwork.yaml, or choose another detrend.images (inverse-square)"
+        )
+    stand = tile.stand
+    return {
+        which: {lamp: store.digest(path) for lamp, path in paths.items()},
+        "dark": store.digest(tile.dark) if tile.dark else None,
+        "mask": store.digest(tile.mask) if tile.mask and which == "frames" else None,
+        "encoding": tile.encoding.model_dump(mode="json"),
+        "field_mm": stand.field_mm if stand else None,
+        "camera": stand.camera_position.tolist() if stand else None,
+        "pixel_size_mm": tile.pixel_size_mm,
+    }
+
+
+def lights(store: Store, tile: Tile, model: LightModel) -> Work:
+    """Where the lamps are: ``lights.json``."""
+    facts: dict[str, Any] = {
+        "lamps": tile.lamps,
+        "stand": tile.stand.model_dump(mode="json", exclude={"name", "source", "optics"})
+        if tile.stand
+        else None,
+        "spheres": [
+            {
+                "frames": {lamp: store.digest(path) for lamp, path in sphere.frames.items()},
+                "circle_px": sphere.circle_px,
+                "points_px": sphere.points_px,
+                "mask": store.digest(sphere.mask) if sphere.mask else None,
+            }
+            for sphere in tile.spheres
+        ],
+        "given": {
+            name: store.digest(path)
+            for name in ("directions", "intensities")
+            if tile.lights and (path := getattr(tile.lights, name))
+        },
+        "names": [path.name for path in tile.frames.values()] if tile.lights else None,
+        "encoding": tile.encoding.model_dump(mode="json") if tile.spheres else None,
+    }
+    if model.refine:
+        facts |= _photographed(store, tile, "frames")
+    ref, record = describe("lights", tile.artwork, tile.name, algorithm=model, facts=facts)
+
+    def make(folder: Path, progress: Progress) -> None:
+        with store.scratch() as scratch:
+
+            def read(path: Path, *, reduce: int = 1) -> Array:
+                with Photograph(path, tile.encoding, scratch) as photograph:
+                    return reduced(photograph, reduce, keep_saturated=True)
+
+            field = model.locate(tile, read)
+            if field.lamps != tile.lamps:
+                raise TileError(
+                    f"{tile.artwork}/{tile.name}: light_model: {model.name} found lights for "
+                    f"{', '.join(field.lamps)}, but the frames are of {', '.join(tile.lamps)}"
+                )
+            if model.refine:
+                field = _refined(tile, field, model.prior, scratch)
+        _write_json(folder / "lights.json", field.record())
+
+    return Work(ref, record, make)
+
+
+def _refined(tile: Tile, field: LightField, prior: float, scratch: Path) -> LightField:
+    """Fit strengths and ambient light to a sample of the photographs."""
+    from nlights_core import strengths
+
+    with darkroom(tile, scratch) as room:
+        every = max(1, int(np.sqrt(room.grid.rows * room.grid.columns / (8 * SAMPLES))))
+        images, vectors = [], []
+        for start, stop in bands(room.grid, len(field.lamps) * 36):
+            band, saturated, inside = room.raw(start, stop, field)
+            usable = inside & ~saturated.any(axis=0)
+            rows, columns = np.nonzero(usable[::every, ::every])
+            points = room.grid.points(start, stop)
+            light = np.broadcast_to(field.vectors(points), (len(field.lamps), *usable.shape, 3))
+            images.append(grey(band)[:, rows * every, columns * every])
+            vectors.append(light[:, rows * every, columns * every])
+        room.check()
+    samples, light = np.concatenate(images, axis=1), np.concatenate(vectors, axis=1)
+    chosen = np.random.default_rng(0).permutation(samples.shape[1])[:SAMPLES]
+    return strengths.refine(field, samples[:, chosen], light[:, chosen], prior)
+
+
+def read_lights(store: Store, ref: ArtefactRef) -> LightField:
+    """Open the artefact of `lights`."""
+    return LightField.from_record(json.loads((store.path(ref) / "lights.json").read_text()))
+
+
+def plate(store: Store, tile: Tile, detrend: ImageDetrend, lights: ArtefactRef) -> Work:
+    """What a flat white plate reads: ``plate.npy`` and where its samples are, ``plate.json``."""
+    if detrend.needs_flats:
+        facts = _photographed(store, tile, "flats")
+    else:
+        facts = _photographed(store, tile, "frames") | {"frames": None}
+        facts["size"] = _size(tile)
+    ref, record = describe(
+        "plate", tile.artwork, FLATS, algorithm=detrend, inputs={"lights": lights}, facts=facts
+    )
+
+    def make(folder: Path, progress: Progress) -> None:
+        field = read_lights(store, lights)
+        grid = grid_of(tile, survey(tile))
+        block = block_size(grid)
+        x, y = grid.block_centres(block)
+        flats = None
+        if detrend.needs_flats:
+            with store.scratch() as scratch, darkroom(tile, scratch, flats=True) as room:
+                flats = _block_means(room, field, block, progress)
+        reading = detrend.plate(flats, field, x, y)
+        found = continued(reading, x, y, block * grid.pixel_size)
+        write_array(folder / "plate.npy", found.logarithm)
+        _write_json(folder / "plate.json", {"left": found.left, "top": found.top, "step": found.step})
+
+    return Work(ref, record, make)
+
+
+def _size(tile: Tile) -> list[int]:
+    info = survey(tile)
+    return [info.rows, info.columns]
+
+
+def _block_means(room: Darkroom, field: LightField, block: int, progress: Progress) -> Array:
+    """Flats averaged over blocks, (L, h, w, C); NaN where a pixel of a block is saturated."""
+    rows, columns = room.grid.rows // block, room.grid.columns // block
+    out = np.empty((len(room.photographs), rows, columns, room.info.channels), np.float32)
+    for start, stop in bands(PixelGrid(rows, columns, 1.0), out[..., 0, 0, :].nbytes * block**2 * 3):
+        images, saturated, _ = room.raw(start * block, stop * block, field)
+        images[saturated] = np.nan
+        shape = (len(images), stop - start, block, columns, block, images.shape[-1])
+        out[:, start:stop] = images[:, :, : columns * block].reshape(shape).mean(axis=(2, 4))
+        progress(stop / rows)
+    room.check()
+    return out
+
+
+def read_plate(store: Store, ref: ArtefactRef) -> Plate:
+    """Open the artefact of `plate`."""
+    folder = store.path(ref)
+    return Plate(np.load(folder / "plate.npy"), **json.loads((folder / "plate.json").read_text()))
+
+
+def bias(
+    store: Store,
+    tile: Tile,
+    detrend: NormalDetrend,
+    solver: NormalSolver,
+    lights: ArtefactRef,
+    plate: ArtefactRef | None,
+) -> Work:
+    """The distortion that the flat reference's normals show: ``bias.npy``."""
+    facts = _photographed(store, tile, "flats")
+    _, solved = describe("normals", tile.artwork, tile.name, algorithm=solver)
+    facts["solver"] = solved["algorithm"]
+    inputs = {"lights": lights, "plate": plate}
+    ref, record = describe("bias", tile.artwork, FLATS, algorithm=detrend, inputs=inputs, facts=facts)
+
+    def make(folder: Path, progress: Progress) -> None:
+        field, flat = read_lights(store, lights), read_plate(store, plate) if plate else None
+        with store.scratch() as scratch, darkroom(tile, scratch, flats=True) as room:
+            solving.solve(room, solver, field, flat, None, scratch, progress)
+            reference = NormalField(read_array(scratch / "normals.npy"), room.grid)
+            write_array(folder / "bias.npy", detrend.bias(reference))
+
+    return Work(ref, record, make)
+
+
+def normals(
+    store: Store,
+    tile: Tile,
+    solver: NormalSolver,
+    lights: ArtefactRef,
+    plate: ArtefactRef | None = None,
+    bias: ArtefactRef | None = None,
+    height: ArtefactRef | None = None,
+) -> Work:
+    """Normals and what is solved with them; the files are listed in `nlights_core.solving`."""
+    facts = _photographed(store, tile, "frames")
+    inputs = {"lights": lights, "plate": plate, "bias": bias, "height": height}
+    ref, record = describe("normals", tile.artwork, tile.name, algorithm=solver, inputs=inputs, facts=facts)
+
+    def make(folder: Path, progress: Progress) -> None:
+        field, flat = read_lights(store, lights), read_plate(store, plate) if plate else None
+        before = read_array(store.path(height) / "height.npy") if height else None
+        removed = read_array(store.path(bias) / "bias.npy") if bias else None
+        with store.scratch() as scratch, darkroom(tile, scratch) as room:
+            solving.solve(room, solver, field, flat, before, folder, progress, removed)
+
+    return Work(ref, record, make)
+
+
+def height(store: Store, tile: Tile, integrator: Integrator, normals: ArtefactRef) -> Work:
+    """Height from normals: ``height.npy``."""
+    ref, record = describe(
+        "height", tile.artwork, tile.name, algorithm=integrator, inputs={"normals": normals}
+    )
+
+    def make(folder: Path, progress: Progress) -> None:
+        grid = grid_of(tile, survey(tile))
+        require(
+            integrator.bytes_per_pixel * grid.rows * grid.columns,
+            f"{tile.artwork}/{tile.name}: integrator: {integrator.name}",
+        )
+        source = store.path(normals)
+        field = NormalField(read_array(source / "normals.npy"), grid, read_array(source / "confidence.npy"))
+        write_array(folder / "height.npy", integrator.integrate(field).height.astype(np.float32, copy=False))
+
+    return Work(ref, record, make)
+
+
+def trend(store: Store, tile: Tile, detrend: HeightDetrend, height: ArtefactRef) -> Work:
+    """Height without its trend, ``height.npy``, and what was removed, ``trend.npy``."""
+    ref, record = describe("trend", tile.artwork, tile.name, algorithm=detrend, inputs={"height": height})
+
+    def make(folder: Path, progress: Progress) -> None:
+        grid = grid_of(tile, survey(tile))
+        before = read_array(store.path(height) / "height.npy")
+        removed = detrend.trend(HeightMap(before, grid))
+        write_array(folder / "trend.npy", removed.astype(np.float32, copy=False))
+        with BandWriter(folder / "height.npy", before.shape) as file:
+            for start, stop in bands(grid, 12):
+                file.write(before[start:stop] - removed[start:stop])
+
+    return Work(ref, record, make)
+
+
+def maps(
+    store: Store, tile: Tile, normals: ArtefactRef, height: ArtefactRef, plate: ArtefactRef | None
+) -> Work:
+    """Products that are images: normals, albedo, reflection, height, confidence, trend."""
+    inputs = {"normals": normals, "height": height}
+    facts = {"white_reflectance": tile.white_reflectance if plate else None}
+    ref, record = describe("maps", tile.artwork, tile.name, inputs=inputs, facts=facts)
+
+    def make(folder: Path, progress: Progress) -> None:
+        info = survey(tile)
+        products.write_maps(
+            folder,
+            products.open_maps(store, normals, height),
+            grid_of(tile, info),
+            white=tile.white_reflectance if plate else None,
+            icc=info.icc,
+            progress=progress,
+        )
+
+    return Work(ref, record, make)
+
+
+def mesh(store: Store, tile: Tile, maps: ArtefactRef, height: ArtefactRef) -> Work:
+    """Products that are meshes: a vertex per pixel, and a decimated one."""
+    ref, record = describe("mesh", tile.artwork, tile.name, inputs={"maps": maps, "height": height})
+
+    def make(folder: Path, progress: Progress) -> None:
+        grid = grid_of(tile, survey(tile))
+        surface = read_array(store.path(height) / "height.npy")
+        products.write_meshes(folder, surface, store.path(maps), grid, progress)
+
+    return Work(ref, record, make)
+
+
+def report(
+    store: Store,
+    tile: Tile,
+    recipe: dict[str, Any],
+    lights: ArtefactRef,
+    plate: ArtefactRef | None,
+    bias: ArtefactRef | None,
+    normals: ArtefactRef,
+    height: ArtefactRef,
+    maps: ArtefactRef,
+    mesh: ArtefactRef,
+) -> Work:
+    """Products for people: ``report.html``, ``quality.json``, ``provenance.json``."""
+    inputs = {
+        "lights": lights,
+        "plate": plate,
+        "bias": bias,
+        "normals": normals,
+        "height": height,
+        "maps": maps,
+        "mesh": mesh,
+    }
+    facts = {
+        "recipe": recipe,
+        "title": tile.title,
+        "origin_mm": tile.origin_mm,
+        "stand": tile.stand.model_dump(mode="json") if tile.stand else None,
+    }
+    ref, record = describe("report", tile.artwork, tile.name, inputs=inputs, facts=facts)
+
+    def make(folder: Path, progress: Progress) -> None:
+        products.write_report(folder, store, tile, record, inputs, grid_of(tile, survey(tile)))
+
+    return Work(ref, record, make)
+
+
+def _write_json(path: Path, value: Any) -> None:
+    path.write_text(json.dumps(value, indent=1) + "\n", encoding="utf-8")

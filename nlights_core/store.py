@@ -1,0 +1,307 @@
+"""The store: artefacts in folders that are named by what made them.
+
+The store is the cache.  An artefact's key is the digest of its stage, its algorithm with every
+option, the algorithm's code, the core's version and the keys of its inputs: a Merkle chain that
+is known before anything runs.  A folder is written as a draft and renamed whole; two runs that
+race make the same thing, so there is no lock.  Deleting any folder is safe.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+import socket
+import time
+import uuid
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from nlights_core.algorithms import Algorithm
+from nlights_core.errors import CaptureError, TileError
+from nlights_core.registry import code_digest, core_digest, installed
+
+RECORD = "artefact.json"
+
+
+@dataclass(frozen=True)
+class ArtefactRef:
+    """Name of an artefact: all that a flow ever passes on.
+
+    Attributes
+    ----------
+    stage, artwork, tile : str
+        Where it belongs.
+    key : str
+        sha256 of everything that determines its content, 64 hexadecimal digits.
+    """
+
+    stage: str
+    artwork: str
+    tile: str
+    key: str
+
+    @property
+    def folder(self) -> str:
+        """Path of the folder, relative to the store."""
+        return f"{self.artwork}/{self.tile}/{self.stage}-{self.key[:12]}"
+
+
+Progress = Callable[[float], None]
+"""Called with the share done, from 0 to 1."""
+
+
+@dataclass(frozen=True)
+class Work:
+    """What a stage would do: the artefact's name, why it would exist, and how to make it.
+
+    Attributes
+    ----------
+    ref : ArtefactRef
+        Known before anything runs.
+    record : dict
+        Why the artefact exists, in full: stage, algorithm, code, core, inputs.
+    make : callable
+        Fills an empty folder; nothing else is written.
+    """
+
+    ref: ArtefactRef
+    record: dict[str, Any]
+    make: Callable[[Path, Progress], None]
+
+
+class Store:
+    """A folder of artefacts.
+
+    Parameters
+    ----------
+    root : Path
+        Made when it is first written to.
+    """
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+
+    def path(self, ref: ArtefactRef) -> Path:
+        """Folder of an artefact, whether it exists or not."""
+        return self.root / ref.folder
+
+    def has(self, ref: ArtefactRef) -> bool:
+        """Whether an artefact is there, whole, and truly of this key."""
+        try:
+            record = json.loads((self.path(ref) / RECORD).read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            return False
+        return bool(record.get("key") == ref.key)
+
+    def ensure(self, work: Work, progress: Progress = lambda share: None) -> bool:
+        """Make an artefact unless it is there; appear whole or not at all.
+
+        Returns
+        -------
+        bool
+            Whether it was there already.
+
+        Raises
+        ------
+        TileError
+            As the stage raises it; no half artefact is left.
+        OSError
+            For a full disk and the like; no half artefact is left.
+        """
+        if self.has(work.ref):
+            return True
+        target = self.path(work.ref)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        self._sweep(target.parent)
+        draft = target.parent / _draft_name()
+        draft.mkdir()
+        started = time.monotonic()
+        try:
+            work.make(draft, progress)
+            record = {**work.record, "seconds": round(time.monotonic() - started, 3)}
+            (draft / RECORD).write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+            self._publish(draft, target, work.ref)
+        finally:
+            shutil.rmtree(draft, ignore_errors=True)
+        return False
+
+    def _publish(self, draft: Path, target: Path, ref: ArtefactRef) -> None:
+        for path in (*draft.iterdir(), draft):
+            _flush(path)
+        try:
+            draft.rename(target)
+        except OSError:
+            if self.has(ref):  # another run was faster and made the same
+                return
+            if not target.exists():
+                raise
+            shutil.rmtree(target)  # damaged, or twelve digits of another key
+            draft.rename(target)
+        _flush(target.parent)
+
+    def _sweep(self, folder: Path) -> None:
+        """Clear drafts that a killed process of this machine left."""
+        for draft in folder.glob(f".draft-{socket.gethostname()}-*"):
+            if not _alive(int(draft.name.rsplit("-", 2)[1])):
+                shutil.rmtree(draft, ignore_errors=True)
+
+    @contextmanager
+    def scratch(self) -> Iterator[Path]:
+        """A folder for temporary files, gone afterwards."""
+        folder = self.root / ".scratch"
+        folder.mkdir(parents=True, exist_ok=True)
+        self._sweep(folder)
+        own = folder / _draft_name()
+        own.mkdir()
+        try:
+            yield own
+        finally:
+            shutil.rmtree(own, ignore_errors=True)
+
+    def digest(self, path: Path) -> str:
+        """Digest of a file's content, remembered by path, size and time of change.
+
+        Raises
+        ------
+        TileError
+            When the file cannot be read.
+        """
+        try:
+            status = path.stat()
+            memory = self.root / ".digests" / hashlib.sha256(str(path).encode()).hexdigest()[:32]
+            stamp = f"{status.st_size} {status.st_mtime_ns} {status.st_ctime_ns} {status.st_ino}"
+            try:
+                known, _, digest = memory.read_text().partition("\n")
+                if known == stamp and len(digest) == 64:
+                    return digest
+            except OSError:
+                pass
+            with path.open("rb") as file:
+                digest = hashlib.file_digest(file, "sha256").hexdigest()
+        except OSError as fault:
+            reason = "there is no such file" if isinstance(fault, FileNotFoundError) else fault.strerror
+            raise TileError(
+                f"{path}: cannot be read ({reason}); put the photograph there or correct its name"
+            ) from fault
+        if self.root.is_dir():
+            write_whole(memory, f"{stamp}\n{digest}")
+        return digest
+
+    def prepare(self) -> None:
+        """Make the store's folder, or say why it cannot be written.
+
+        Raises
+        ------
+        CaptureError
+            Naming the folder and the reason.
+        """
+        make_writable(self.root, "--store")
+
+
+def make_writable(folder: Path, option: str) -> None:
+    """Make a folder and prove that it can be written.
+
+    Raises
+    ------
+    CaptureError
+        Naming the folder, the reason and the option that chooses another.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        probe = folder / f".probe-{uuid.uuid4().hex[:8]}"
+        probe.touch()
+        probe.unlink()
+    except OSError as fault:
+        raise CaptureError(
+            f"{folder}: cannot be written ({fault.strerror}); choose another folder with {option} or "
+            "change its permissions"
+        ) from fault
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write a small text file so that it appears whole or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    draft = path.parent / f".{path.name[:40]}-{uuid.uuid4().hex[:8]}"
+    try:
+        draft.write_text(text, encoding="utf-8")
+        draft.replace(path)
+    finally:
+        draft.unlink(missing_ok=True)
+
+
+def describe(
+    stage: str,
+    artwork: str,
+    tile: str,
+    *,
+    algorithm: Algorithm | None = None,
+    inputs: Mapping[str, ArtefactRef | None] | None = None,
+    facts: Mapping[str, Any] | None = None,
+) -> tuple[ArtefactRef, dict[str, Any]]:
+    """Name an artefact by everything that determines its content.
+
+    Parameters
+    ----------
+    stage, artwork, tile : str
+        Where it belongs.
+    algorithm : Algorithm, optional
+        Its name, options and code enter the key.
+    inputs : mapping of names to artefacts, optional
+        Their keys enter the key.
+    facts : mapping, optional
+        JSON values that enter the key: digests of files, settings of the capture.
+
+    Returns
+    -------
+    ref : ArtefactRef
+    record : dict
+        The same in full, for ``artefact.json``.
+    """
+    given = {name: ref for name, ref in (inputs or {}).items() if ref is not None}
+    cause: dict[str, Any] = {
+        "stage": stage,
+        "core": core_digest(),
+        "algorithm": None
+        if algorithm is None
+        else {
+            "use": algorithm.name,
+            "options": algorithm.model_dump(mode="json"),
+            "code": code_digest(type(algorithm)),
+            "origin": installed().origin(algorithm),
+        },
+        "inputs": {name: ref.key for name, ref in given.items()},
+        "facts": dict(facts or {}),
+    }
+    key = hashlib.sha256(json.dumps(cause, sort_keys=True).encode()).hexdigest()
+    places = {name: ref.folder for name, ref in given.items()}
+    record = {"artwork": artwork, "tile": tile, "key": key, **cause, "input_folders": places}
+    return ArtefactRef(stage, artwork, tile, key), record
+
+
+def _draft_name() -> str:
+    """Name the machine and the process, so that only dead ones' drafts are ever swept."""
+    return f".draft-{socket.gethostname()}-{os.getpid()}-{uuid.uuid4().hex[:8]}"
+
+
+def _flush(path: Path) -> None:
+    """Bring a file or folder to the disk, so that a rename is never ahead of the content."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def _alive(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        return True
+    return True

@@ -1,0 +1,143 @@
+"""Manifests: three ways to name photographs, and every way to get them wrong."""
+
+from pathlib import Path
+
+import pytest
+
+from nlights_core.errors import CaptureError, StandError
+from nlights_core.manifest import load_capture
+
+EIGHT = "".join(f"  Relio_{n}: light_{n}.tif\n" for n in range(1, 9))
+
+
+def write(folder: Path, text: str) -> Path:
+    path = folder / "artwork.yaml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def refused(folder: Path, text: str, **options) -> str:
+    with pytest.raises(CaptureError) as fault:
+        load_capture(write(folder, text), **options)
+    return str(fault.value)
+
+
+def test_a_mapping_a_list_and_a_pattern_say_the_same(tmp_path):
+    files = ", ".join(f"light_{n}.tif" for n in range(1, 9))
+    head = "artwork: {id: inv-1}\nstand: horizontal\n"
+    mapping = load_capture(write(tmp_path, head + "frames:\n" + EIGHT))
+    listed = load_capture(write(tmp_path, head + f"frames: [{files}]\n"))
+    pattern = load_capture(write(tmp_path, head + 'frames: "light_{n}.tif"\n'))
+    assert mapping[0].frames == listed[0].frames == pattern[0].frames
+    assert mapping[0].frames["Relio_3"] == (tmp_path / "light_3.tif").resolve()
+
+
+def test_a_pattern_names_tiles_and_zero_filled_numbers(tmp_path):
+    text = (
+        'artwork: {id: inv-1}\nstand: horizontal\nframes: "{tile}/{lamp}_{n:03d}.tif"\n'
+        "tiles: [{name: a}, {name: b, origin_mm: [400, 0]}]\n"
+    )
+    a, b = load_capture(write(tmp_path, text))
+    assert a.frames["Relio_2"] == (tmp_path / "a" / "Relio_2_002.tif").resolve()
+    assert b.frames["Relio_2"] == (tmp_path / "b" / "Relio_2_002.tif").resolve()
+    assert b.origin_mm == (400, 0)
+
+
+def test_without_a_stand_a_pattern_means_the_files_that_exist_by_number(tmp_path):
+    for n in (1, 2, 10, 3):
+        (tmp_path / f"{n}_TL.png").touch()
+    tile = load_capture(write(tmp_path, 'artwork: {id: leaves}\nframes: "{n}_TL.png"\n'))[0]
+    assert [path.name for path in tile.frames.values()] == ["1_TL.png", "2_TL.png", "3_TL.png", "10_TL.png"]
+
+
+def test_a_wider_root_lets_artworks_share_a_flat_set(tmp_path):
+    folder = tmp_path / "inv-1"
+    folder.mkdir()
+    text = (
+        'artwork: {id: inv-1}\nstand: horizontal\nframes: "light_{n}.tif"\nflats: "../flats/light_{n}.tif"\n'
+    )
+    assert "outside the capture root" in refused(folder, text)
+    tile = load_capture(folder / "artwork.yaml", root=tmp_path)[0]
+    assert tile.flats is not None
+    assert tile.flats["Relio_1"] == (tmp_path / "flats" / "light_1.tif").resolve()
+
+
+def test_a_stand_given_on_the_command_line_replaces_the_manifests(tmp_path):
+    path = write(tmp_path, 'artwork: {id: inv-1}\nstand: horizontal\nframes: "light_{n}.tif"\n')
+    stand = load_capture(path, stand="vertical-dark")[0].stand
+    assert stand is not None
+    assert stand.name == "vertical-dark"
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("frames: {Relio_9: x.tif}\n", ["no lamp 'Relio_9'", "Relio_1, Relio_2", "artwork.yaml:3"]),
+        ("frames: {Relio_1: a.tif, Relio_2: b.tif}\n", ["at least 3 lamps", "found 2"]),
+        ("frames: [a.tif, b.tif]\n", ["8 lamps", "got 2"]),
+        ("frames: light.tif\n", ["needs {lamp} or {n}"]),
+        ('frames: "light_{x}_{n}.tif"\n', ["{x} is not known"]),
+        ("frames:\n" + EIGHT + "tiles: [{name: ../x}]\n", ["'../x' is not a plain name", "tiles.0.name"]),
+        ("frames:\n" + EIGHT + "tiles: [{name: a/b}]\n", ["not a plain name"]),
+        ("frames:\n" + EIGHT + "tiles: [{name: _flats}]\n", ["not a plain name"]),
+        ("frames:\n" + EIGHT + "tiles: [{name: a}, {name: A}]\n", ["stands twice"]),
+        ("frames:\n" + EIGHT + "tiles: []\n", ["tiles", "at least 1"]),
+        ("frames:\n" + EIGHT + "flat: x\n", ["flat: unknown field", "flats"]),
+        ("frames:\n" + EIGHT + "dark: /etc/passwd\n", ["dark", "outside the capture root", "--root"]),
+        ("frames:\n" + EIGHT + "dark: ../dark.tif\n", ["outside the capture root"]),
+        ("frames:\n" + EIGHT + 'flats: "{lamp}/../../../x.tif"\n', ["outside the capture root"]),
+        ("frames:\n" + EIGHT + "flats: {Relio_1: a, Relio_2: b, Relio_3: c}\n", ["lacks Relio_4"]),
+        ("frames:\n" + EIGHT + "white_reflectance: 1.5\n", ["white_reflectance", "at most 1", "1.5"]),
+        ("frames:\n" + EIGHT + "tiles: [{name: a, origin_mm: [.nan, 0]}]\n", ["origin_mm"]),
+        ("{}\n", ["frames: is missing"]),
+    ],
+)
+def test_a_fault_is_told_with_field_found_and_allowed(tmp_path, text, words):
+    said = refused(tmp_path, "artwork: {id: inv-1}\nstand: horizontal\n" + text.replace("{}\n", ""))
+    for word in words:
+        assert word in said, said
+
+
+def test_every_fault_is_told_at_once(tmp_path):
+    said = refused(
+        tmp_path,
+        "artwork: {id: a/b}\nstand: horizontal\nframes:\n" + EIGHT + "dark: ../x\nmask: ../y\n",
+    )
+    assert len(said.splitlines()) == 3
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("a: &a [1]\nb: *a\n", ["anchors and aliases"]),
+        ("artwork: !!python/object/apply:os.system ['true']\n", ["not valid YAML"]),
+        ("artwork: {id: x}\nartwork: {id: y}\n", ["'artwork' stands twice"]),
+        ("- a\n- b\n", ["should be a mapping"]),
+        ("a: [\n", ["not valid YAML"]),
+        ("[" * 3000 + "]" * 3000, ["not valid YAML"]),
+    ],
+)
+def test_hostile_or_broken_yaml_is_refused_in_one_sentence(tmp_path, text, words):
+    said = refused(tmp_path, text)
+    assert str(tmp_path / "artwork.yaml") in said
+    assert len(said.splitlines()) == 1
+    for word in words:
+        assert word in said, said
+
+
+def test_a_yaml_bomb_costs_nothing(tmp_path):
+    bomb = "a: &a [x, x]\n" + "".join(
+        f"{chr(98 + i)}: &{chr(98 + i)} [{', '.join(['*' + chr(97 + i)] * 9)}]\n" for i in range(12)
+    )
+    assert "anchors and aliases" in refused(tmp_path, bomb)
+
+
+def test_a_missing_manifest_and_an_unknown_stand_are_told(tmp_path):
+    with pytest.raises(CaptureError, match=r"nowhere\.yaml: cannot be read"):
+        load_capture(tmp_path / "nowhere.yaml")
+    said = refused(tmp_path, 'artwork: {id: a}\nstand: horizontl\nframes: "{n}.tif"\n')
+    assert "horizontl" in said
+    assert "vertical-dark" in said
+    path = write(tmp_path, 'artwork: {id: a}\nframes: "{n}.tif"\n')
+    with pytest.raises(StandError, match="shipped are"):
+        load_capture(path, stand="nowhere")
