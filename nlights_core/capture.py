@@ -7,7 +7,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from nlights_core.stands import Record, Stand
+from nlights_core.stands import Positive, Record, Stand
 
 
 class Encoding(Record):
@@ -21,7 +21,7 @@ class Encoding(Record):
         description="colour filters of a Bayer mosaic stored as a plain grey image; each 2 x 2 cell "
         "becomes one pixel",
     )
-    saturation: float | Literal["none"] | None = Field(
+    saturation: Positive | Literal["none"] | None = Field(
         default=None,
         description="level at which the sensor saturates, in the file's own numbers; none: nothing "
         "is saturated; absent: the largest number of the file's type (1.0 for float)",

@@ -188,9 +188,10 @@ class Darkroom:
         count = len(self.photographs)
         images = np.empty((count, *shape, self.info.channels), np.float32)
         saturated = np.empty((count, *shape), bool)
+        limited = bool(np.isfinite(self.info.saturation))
         for i, (lamp, photograph) in enumerate(self.photographs.items()):
             images[i] = photograph.band(start, stop)
-            saturated[i] = is_saturated(images[i])
+            saturated[i] = limited & is_saturated(images[i])
             if dark is not None:
                 images[i] -= dark
             exposure = self.exposures.setdefault(lamp, Exposure())

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
+from nlights_core.arrays import write_array
 from nlights_core.errors import TileError
 from nlights_core.frames import Array, PixelGrid
 
@@ -13,7 +16,7 @@ COLUMNS = 256
 """About how many blocks across a plate is known on: it is smooth."""
 
 MARGIN = 0.15
-"""How far past the frame a plate is continued, as a share of the frame's longer side: a lamp at 15
+"""How far past the frame a plate is continued, as a share of its longer side: a lamp at 15
 degrees reaches 40 mm past the frame for a surface 8 mm high."""
 
 
@@ -40,6 +43,14 @@ class Plate:
     def brightest(self) -> float:
         """The largest reading of any lamp."""
         return float(np.exp(np.max(self.logarithm)))
+
+    def inside(self, grid: PixelGrid) -> Array:
+        """Readings in the frame only, (L, h, w, C) float32: for people to look at."""
+        x = self.left + self.step * np.arange(self.logarithm.shape[2])
+        y = self.top - self.step * np.arange(self.logarithm.shape[1])
+        columns = np.abs(x) < grid.columns * grid.pixel_size / 2
+        rows = np.abs(y) < grid.rows * grid.pixel_size / 2
+        return np.asarray(np.exp(self.logarithm[:, rows][:, :, columns]))
 
     def at(self, lamp: int, x: Array, y: Array) -> Array:
         """Read the plate at any points, by linear interpolation.
@@ -116,6 +127,19 @@ def continued(reading: Array, x: Array, y: Array, step: float) -> Plate:
             nearest = distance_transform_edt(np.isnan(missed), return_distances=False, return_indices=True)
             out[i, ..., c] = wide @ fit + missed[tuple(nearest)]
     return Plate(out, float(wide_x[0]), float(wide_y[0]), step)
+
+
+def write_plate(folder: Path, plate: Plate) -> None:
+    """Write a plate as ``plate.npy`` and, where its samples are, ``plate.json``."""
+    write_array(folder / "plate.npy", plate.logarithm)
+    place = {"left": plate.left, "top": plate.top, "step": plate.step}
+    (folder / "plate.json").write_text(json.dumps(place) + "\n", encoding="utf-8")
+
+
+def read_plate(folder: Path) -> Plate:
+    """Read what `write_plate` wrote."""
+    place = json.loads((folder / "plate.json").read_text(encoding="utf-8"))
+    return Plate(np.load(folder / "plate.npy"), **place)
 
 
 def _cubic(x: Array, y: Array) -> Array:

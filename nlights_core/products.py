@@ -18,6 +18,7 @@ from nlights_core.arrays import BandWriter, read_array
 from nlights_core.capture import Tile
 from nlights_core.errors import TileError
 from nlights_core.frames import Array, PixelGrid
+from nlights_core.plates import read_plate
 from nlights_core.store import RECORD, ArtefactRef, Progress, Store
 
 FRAME = "plane frame: x right, y up, z from the artwork to the camera; NaN where not known"
@@ -179,7 +180,7 @@ def write_report(
     for name in ("albedo", "reflection"):
         maps[name] = tifffile.memmap(made["maps"] / f"{name}.tif", mode="r")
     if "plate" in made:
-        maps["plate"] = np.exp(np.load(made["plate"] / "plate.npy"))
+        maps["plate"] = read_plate(made["plate"]).inside(grid)
     if "bias" in made:
         maps["bias"] = read_array(made["bias"] / "bias.npy")
     numbers = quality.measure(maps, grid)

@@ -30,7 +30,7 @@ from nlights_core.fields import HeightMap, LightField, NormalField
 from nlights_core.frames import Array, PixelGrid
 from nlights_core.images import Photograph, grey, reduced
 from nlights_core.memory import require
-from nlights_core.plates import Plate, block_size, continued
+from nlights_core.plates import block_size, continued, read_plate, write_plate
 from nlights_core.store import ArtefactRef, Progress, Store, Work, describe
 
 FLATS = "_flats"
@@ -156,8 +156,7 @@ def plate(store: Store, tile: Tile, detrend: ImageDetrend, lights: ArtefactRef) 
                 flats = _block_means(room, field, block, progress)
         reading = detrend.plate(flats, field, x, y)
         found = continued(reading, x, y, block * grid.pixel_size)
-        write_array(folder / "plate.npy", found.logarithm)
-        _write_json(folder / "plate.json", {"left": found.left, "top": found.top, "step": found.step})
+        write_plate(folder, found)
 
     return Work(ref, record, make)
 
@@ -181,12 +180,6 @@ def _block_means(room: Darkroom, field: LightField, block: int, progress: Progre
     return out
 
 
-def read_plate(store: Store, ref: ArtefactRef) -> Plate:
-    """Open the artefact of `plate`."""
-    folder = store.path(ref)
-    return Plate(np.load(folder / "plate.npy"), **json.loads((folder / "plate.json").read_text()))
-
-
 def bias(
     store: Store,
     tile: Tile,
@@ -203,7 +196,7 @@ def bias(
     ref, record = describe("bias", tile.artwork, FLATS, algorithm=detrend, inputs=inputs, facts=facts)
 
     def make(folder: Path, progress: Progress) -> None:
-        field, flat = read_lights(store, lights), read_plate(store, plate) if plate else None
+        field, flat = read_lights(store, lights), read_plate(store.path(plate)) if plate else None
         with store.scratch() as scratch, darkroom(tile, scratch, flats=True) as room:
             solving.solve(room, solver, field, flat, None, scratch, progress)
             reference = NormalField(read_array(scratch / "normals.npy"), room.grid)
@@ -227,7 +220,7 @@ def normals(
     ref, record = describe("normals", tile.artwork, tile.name, algorithm=solver, inputs=inputs, facts=facts)
 
     def make(folder: Path, progress: Progress) -> None:
-        field, flat = read_lights(store, lights), read_plate(store, plate) if plate else None
+        field, flat = read_lights(store, lights), read_plate(store.path(plate)) if plate else None
         before = read_array(store.path(height) / "height.npy") if height else None
         removed = read_array(store.path(bias) / "bias.npy") if bias else None
         with store.scratch() as scratch, darkroom(tile, scratch) as room:

@@ -1,0 +1,362 @@
+"""Height from the gradients of a rectangle, by fast sine and cosine transforms.
+
+A gradient here is always a *height step per pixel*: ``per_column`` from one column to the next,
+``per_row`` from one row to the next (downwards), in whatever length the height shall have.  Both
+are sampled at the centres of the pixels, as photometric stereo gives them.  Transforms run in the
+precision of the gradients: float32 stays float32, float64 stays float64.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Literal
+
+import numpy as np
+import scipy.fft
+
+from nlights_core.frames import Array, PixelGrid
+
+Stencil = Literal["6-point", "trapezoid"]
+"""How the step between two pixels follows from the gradients at the pixels around it."""
+
+BAND = 256
+"""Lines that are worked on at once, so that temporary arrays stay small."""
+
+# Each formula: how many pixels it reaches before the step, and the weights of its pixels.
+_TRAPEZOID = (0, np.array([1, 1]) / 2)
+_FIRST_OF_FOUR = (0, np.array([9, 19, -5, 1]) / 24)
+_LAST_OF_FOUR = (2, np.array([1, -5, 19, 9]) / 24)
+_FOUR_POINT = (1, np.array([-1, 13, 13, -1]) / 24)
+_SIX_POINT = (2, np.array([11, -93, 802, 802, -93, 11]) / 1440)
+_FORMULAS = {
+    "trapezoid": (_TRAPEZOID,),
+    "6-point": (_SIX_POINT, _FOUR_POINT, _FIRST_OF_FOUR, _LAST_OF_FOUR, _TRAPEZOID),
+}
+
+
+def frankot_chellappa(
+    per_column: Array, per_row: Array, *, periodic: bool = False, remove_plane: bool = True
+) -> Array:
+    """Integrate with the exact derivative of a Fourier series (Frankot and Chellappa).
+
+    Parameters
+    ----------
+    per_column, per_row : (H, W) float32 or float64 arrays
+        Height steps per pixel, finite everywhere.
+    periodic : bool
+        True: the surface repeats itself beyond its borders, as in the original method.  False:
+        it is mirrored there, which gives what a transform of 2H x 2W mirrored pixels would, at
+        the cost of H x W.
+    remove_plane : bool
+        Integrate the mean plane apart.  Left in, a tilt makes a step (periodic) or a kink
+        (mirrored) at every border.
+
+    Returns
+    -------
+    (H, W) array
+        Height of mean 0, in the precision of the gradients.
+
+    References
+    ----------
+    R. T. Frankot, R. Chellappa, "A method for enforcing integrability in shape from shading
+    algorithms", IEEE TPAMI 10 (1988) 439-451.
+    """
+    tilt = mean_steps(per_column, per_row) if remove_plane else (0.0, 0.0)
+    surface = _periodic_surface if periodic else _mirrored_surface
+    height = surface(per_column - tilt[0], per_row - tilt[1])
+    add_plane(height, tilt)
+    return height
+
+
+def simchony(
+    per_column: Array, per_row: Array, *, stencil: Stencil = "6-point", remove_plane: bool = True
+) -> Array:
+    """Integrate by least squares with free borders: a Poisson equation (Simchony et al.).
+
+    The height minimises the squared difference between its own steps from pixel to pixel and
+    those that `height_steps` takes from the gradients.
+
+    Parameters
+    ----------
+    per_column, per_row : (H, W) float32 or float64 arrays
+        Height steps per pixel, finite everywhere.
+    stencil : {"6-point", "trapezoid"}
+        See `height_steps`.
+    remove_plane : bool
+        Integrate the mean plane apart.  The result is the same but for rounding, which a tilt
+        left in makes worse.
+
+    Returns
+    -------
+    (H, W) array
+        Height of mean 0, in the precision of the gradients.
+
+    References
+    ----------
+    T. Simchony, R. Chellappa, M. Shao, "Direct analytical methods for solving Poisson equations
+    in computer vision problems", IEEE TPAMI 12 (1990) 435-446.
+    """
+    tilt = mean_steps(per_column, per_row) if remove_plane else (0.0, 0.0)
+    source = np.zeros(per_column.shape, np.result_type(per_column, per_row))
+    add_divergence(source, per_column, stencil, tilt[0])
+    add_divergence(source.T, per_row.T, stencil, tilt[1])
+    height = solve_poisson(source)
+    add_plane(height, tilt)
+    return height
+
+
+def height_steps(gradient: Array, stencil: Stencil) -> Array:
+    """Steps from each pixel of a line to the next, out of the gradient at the pixels.
+
+    Parameters
+    ----------
+    gradient : (n, N) float array
+        Derivative along each of n lines of N pixels; NaN where not known.
+    stencil : {"6-point", "trapezoid"}
+        "trapezoid": the mean of the two pixels, exact for a parabola.  "6-point": the integral
+        of the polynomial through six pixels, ``[802 (p[j] + p[j+1]) - 93 (p[j-1] + p[j+2])
+        + 11 (p[j-2] + p[j+3])] / 1440``; where not all six are known the same with four
+        (centred, else one-sided), else the trapezoid.
+
+    Returns
+    -------
+    (n, N - 1) float array
+        NaN where either end of the step is not known.
+
+    Examples
+    --------
+    >>> height_steps(np.array([[0.0, 2.0, 4.0]]), "trapezoid")
+    array([[1., 3.]])
+    """
+    pixels = gradient.shape[1]
+    steps = np.full_like(gradient[:, 1:], np.nan)
+    (before, weights), *fallbacks = _FORMULAS[stencil]
+    fitting = pixels - len(weights) + 1
+    if fitting > 0:
+        terms = (float(w) * gradient[:, k : k + fitting] for k, w in enumerate(weights))
+        steps[:, before : before + fitting] = sum(terms)
+    for before, weights in fallbacks:
+        wanted = np.flatnonzero(np.isnan(steps).any(axis=0))
+        first = wanted - before
+        inside = (first >= 0) & (first + len(weights) <= pixels)
+        wanted, first = wanted[inside], first[inside]
+        value = sum(float(w) * gradient[:, first + k] for k, w in enumerate(weights))
+        steps[:, wanted] = np.where(np.isnan(steps[:, wanted]), value, steps[:, wanted])
+    return steps
+
+
+def add_divergence(source: Array, gradient: Array, stencil: Stencil, mean: float) -> None:
+    """Add one direction's share of the right-hand side of the Poisson equation, in place.
+
+    No step crosses the border of the field or of what is known: that *is* the condition of a
+    free border, and nothing else has to be added there.
+
+    Parameters
+    ----------
+    source : (n, N) float array
+        Changed in place.
+    gradient : (n, N) float array
+        Derivative along the lines; NaN where not known.
+    stencil : {"6-point", "trapezoid"}
+        See `height_steps`.
+    mean : float
+        Taken off every step.
+    """
+    for lines in bands(len(source)):
+        steps = height_steps(gradient[lines], stencil)
+        steps -= steps.dtype.type(mean)
+        np.nan_to_num(steps, copy=False, nan=0.0)
+        source[lines, :-1] += steps
+        source[lines, 1:] -= steps
+
+
+def solve_poisson(source: Array) -> Array:
+    """Solve the discrete Poisson equation of a rectangle with free borders.
+
+    Parameters
+    ----------
+    source : (H, W) float array
+        What the five-point Laplacian of the solution shall be; its mean is ignored.
+
+    Returns
+    -------
+    (H, W) float array
+        Solution of mean 0, in the precision of ``source``.
+    """
+    rows, columns = source.shape
+    spectrum = scipy.fft.dctn(source, type=2, workers=-1)
+    # 2 - 2 cos would lose the slowest waves to rounding; 4 sin^2 does not.
+    across = 4 * np.sin(np.pi * np.arange(columns) / (2 * columns)) ** 2
+    down = 4 * np.sin(np.pi * np.arange(rows) / (2 * rows)) ** 2
+    for lines in bands(rows):
+        spectrum[lines] /= _away_from_zero(-(down[lines, None] + across))
+    spectrum[0, 0] = 0
+    height: Array = scipy.fft.idctn(spectrum, type=2, workers=-1, overwrite_x=True)
+    return height
+
+
+def perspective_gradient(per_column: Array, per_row: Array, grid: PixelGrid) -> tuple[Array, Array]:
+    """Gradients of a surface seen by a pinhole, made integrable on the photograph's grid.
+
+    A point of the surface lies at ``C + t (P0 - C)`` on the ray from the camera C through the
+    pixel's point P0 of the plane.  Not z but log t has a gradient that the normal alone decides;
+    what is returned are the steps of ``-C_z log t``, a length that is z to first order.
+
+    Parameters
+    ----------
+    per_column, per_row : (H, W) float arrays
+        Slopes dz/dx and -dz/dy times the pixel size, as `NormalField.gradient` gives them.
+    grid : PixelGrid
+        Whose camera is a pinhole.
+
+    Returns
+    -------
+    per_column, per_row : (H, W) float arrays
+        Steps of ``-C_z log t``; NaN where not known and where the surface turns away from the
+        ray so far that its slope would be magnified more than tenfold.
+
+    References
+    ----------
+    J.-D. Durou, F. Courteille, "Integration of a normal field without boundary condition", in:
+    Photometric Analysis for Computer Vision, ICCV workshop (2007).
+    """
+    camera = _camera(grid)
+    x, y = grid.x() - camera[0], grid.y() - camera[1]
+    scale = 1 / (grid.pixel_size * camera[2])
+    across, down = np.empty_like(per_column), np.empty_like(per_row)
+    for lines in bands(grid.rows):
+        facing = 1 + (per_column[lines] * x - per_row[lines] * y[lines, None]) * scale
+        facing[facing < 0.1] = np.nan
+        across[lines] = per_column[lines] / facing
+        down[lines] = per_row[lines] / facing
+    return across, down
+
+
+def perspective_height(scaled_log: Array, camera_height: float) -> Array:
+    """z from the integral of `perspective_gradient`, ``-C_z log t``.
+
+    The constant that the integral leaves free is a factor of t, not a shift of z: it is chosen
+    so that z has mean 0, on each island of known pixels by itself.
+
+    Parameters
+    ----------
+    scaled_log : (H, W) float array
+        ``-C_z log t`` up to a constant, in the camera's unit; NaN where not known.
+    camera_height : float
+        C_z: distance of the camera from the plane.
+
+    Returns
+    -------
+    (H, W) float array
+        ``z = C_z (1 - t)`` of the point that each pixel sees.
+    """
+    nearness = -np.expm1(scaled_log / -camera_height)
+    mean = mean_per_island(nearness)
+    height: Array = camera_height * (nearness - mean) / (1 - mean)
+    return height
+
+
+def mean_per_island(values: Array) -> Array:
+    """Mean over the connected island that each pixel belongs to.
+
+    Parameters
+    ----------
+    values : (H, W) float array
+        NaN where not known.  Pixels that share an edge belong together.
+
+    Returns
+    -------
+    (H, W) or (1, 1) array
+        In the precision of ``values``, NaN where not known; one number where all is known.
+    """
+    known = np.isfinite(values)
+    if known.all():
+        return np.full((1, 1), values.mean(dtype=np.float64), values.dtype)
+    from scipy import ndimage
+
+    islands, count = ndimage.label(known)
+    total, pixels = np.zeros(count + 1), np.zeros(count + 1)
+    for lines in bands(len(values)):
+        label = islands[lines].ravel()
+        total += np.bincount(label, np.nan_to_num(values[lines]).ravel(), count + 1)
+        pixels += np.bincount(label, minlength=count + 1)
+    means = total / np.maximum(pixels, 1)
+    means[0] = np.nan
+    spread: Array = means.astype(values.dtype)[islands]
+    return spread
+
+
+def mean_steps(per_column: Array, per_row: Array) -> tuple[float, float]:
+    """Mean height step per column and per row over what is known, in float64."""
+    across, down = (float(g.mean(dtype=np.float64, where=np.isfinite(g))) for g in (per_column, per_row))
+    return across, down
+
+
+def add_plane(height: Array, tilt: tuple[float, float]) -> None:
+    """Add a plane of mean 0 to ``height``, in place; ``tilt`` is its step per column and per row."""
+    rows, columns = height.shape
+    across = (np.arange(columns) - (columns - 1) / 2) * tilt[0]
+    down = (np.arange(rows) - (rows - 1) / 2) * tilt[1]
+    for lines in bands(rows):
+        height[lines] += down[lines, None] + across
+
+
+def bands(rows: int) -> Iterator[slice]:
+    """Slices of up to `BAND` lines that cover all ``rows``."""
+    for start in range(0, rows, BAND):
+        yield slice(start, min(start + BAND, rows))
+
+
+def _periodic_surface(per_column: Array, per_row: Array) -> Array:
+    rows, columns = per_column.shape
+    across = 2 * np.pi * np.arange(columns // 2 + 1) / columns
+    down = 2 * np.pi * scipy.fft.fftfreq(rows)
+    # The derivative of the fastest wave of an even length is zero at every pixel.
+    if columns % 2 == 0:
+        across[-1] = 0
+    if rows % 2 == 0:
+        down[rows // 2] = 0
+    spectrum = scipy.fft.rfft2(per_column, workers=-1)
+    other = scipy.fft.rfft2(per_row, workers=-1)
+    for lines in bands(rows):
+        wave = down[lines, None]
+        sum_of_squares = _away_from_zero(across**2 + wave**2)
+        spectrum[lines] = -1j * (across * spectrum[lines] + wave * other[lines]) / sum_of_squares
+    height: Array = scipy.fft.irfft2(spectrum, per_column.shape, workers=-1, overwrite_x=True)
+    return height
+
+
+def _mirrored_surface(per_column: Array, per_row: Array) -> Array:
+    """The mirrored height is even, so its slope is odd along itself: a sine transform there."""
+    rows, columns = per_column.shape
+    spectrum = _sine_and_cosine(per_column, sine=1)
+    other = _sine_and_cosine(per_row, sine=0)
+    across, down = np.pi * np.arange(columns) / columns, np.pi * np.arange(rows) / rows
+    for lines in bands(rows):
+        wave = down[lines, None]
+        sum_of_squares = _away_from_zero(across**2 + wave**2)
+        spectrum[lines] = -(across * spectrum[lines] + wave * other[lines]) / sum_of_squares
+    height: Array = scipy.fft.idctn(spectrum, type=2, workers=-1, overwrite_x=True)
+    return height
+
+
+def _sine_and_cosine(gradient: Array, sine: int) -> Array:
+    """Sine transform along the axis ``sine``, cosine along the other, both indexed by frequency."""
+    spectrum: Array = scipy.fft.dst(gradient, type=2, axis=sine, workers=-1, overwrite_x=True)
+    spectrum = scipy.fft.dct(spectrum, type=2, axis=1 - sine, workers=-1, overwrite_x=True)
+    # The transform's first coefficient is frequency 1.
+    shifted = np.moveaxis(spectrum, sine, 0)
+    shifted[1:] = shifted[:-1]
+    shifted[0] = 0
+    return spectrum
+
+
+def _away_from_zero(eigenvalues: Array) -> Array:
+    """Zeros replaced by 1: their waves have no slope, so that their numerator is zero too."""
+    return np.where(eigenvalues == 0, 1.0, eigenvalues)
+
+
+def _camera(grid: PixelGrid) -> tuple[float, float, float]:
+    if grid.camera is None:
+        raise ValueError("a perspective integration needs a grid that has a camera")
+    return grid.camera

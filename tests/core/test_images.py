@@ -1,0 +1,658 @@
+"""Photographs are read exactly, in bands, and damaged ones are refused by name."""
+
+import io
+import logging
+import struct
+import tracemalloc
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import imagecodecs
+import numpy as np
+import pytest
+import tifffile
+from PIL import Image
+
+from nlights_core.capture import Encoding
+from nlights_core.errors import TileError
+from nlights_core.images import (
+    LARGE_BYTES,
+    Photograph,
+    grey,
+    is_saturated,
+    linear_light,
+    probe,
+    reduced,
+    srgb_decoded,
+    superpixels,
+)
+
+DATA = Path(__file__).parents[2].parent / "shared" / "data"
+FULL = {np.uint8: 255, np.uint16: 65535, np.uint32: 2**32 - 1, np.float32: 1, np.float16: 1, np.float64: 1}
+
+
+def real(name):
+    path = DATA / name
+    if not path.exists():
+        pytest.skip(f"the real capture {name} is not beside the repository")
+    return path
+
+
+def numbers(dtype, shape=(75, 90, 3), seed=0):
+    random = np.random.default_rng(seed)
+    if np.dtype(dtype).kind == "f":
+        return random.random(shape).astype(dtype)
+    full = FULL[dtype]
+    values = random.integers(0, full, shape, dtype=dtype, endpoint=True)
+    values[0, 0], values[-1, -1], values[3, 5] = 0, full, full - 1
+    return values
+
+
+def write_tiff(target, values, **layout):
+    if layout.get("planarconfig") == "separate":
+        values = np.moveaxis(values, -1, 0)
+    tifffile.imwrite(target, values, photometric="rgb", **layout)
+
+
+def fraction(values, full):
+    """Float32 nearest to the quotient; saturation is decided by the number itself."""
+    return (values.astype(np.float64) / full).astype(np.float32)
+
+
+def in_bands(path, rows=7, **options):
+    with Photograph(path, **options) as photograph:
+        height = photograph.info.rows
+        return np.concatenate(
+            [photograph.band(r, min(r + rows, height)) for r in range(0, height, rows)], axis=0
+        )
+
+
+LAYOUTS = {
+    "one strip": {},
+    "strips": {"rowsperstrip": 16},
+    "planar": {"planarconfig": "separate"},
+    "planar strips": {"planarconfig": "separate", "rowsperstrip": 16},
+    "tiles": {"tile": (32, 48)},
+    "planar tiles": {"tile": (32, 48), "planarconfig": "separate"},
+    "lzw strips": {"compression": "lzw", "rowsperstrip": 16},
+    "lzw, one strip": {"compression": "lzw", "rowsperstrip": 75},
+    "deflate, predictor": {"compression": "zlib", "predictor": True, "rowsperstrip": 1},
+    "zstd tiles, predictor": {"compression": "zstd", "predictor": True, "tile": (32, 48)},
+    "zstd planar strips": {"compression": "zstd", "planarconfig": "separate", "rowsperstrip": 16},
+    "packbits": {"compression": "packbits", "rowsperstrip": 16},
+    "big endian": {"byteorder": ">"},
+    "big endian, deflate": {"byteorder": ">", "compression": "zlib", "rowsperstrip": 16},
+    "BigTIFF": {"bigtiff": True},
+}
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.uint32, np.float32])
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_every_layout_of_a_tiff_is_read_bit_exactly_by_bands(tmp_path, layout, dtype):
+    options = dict(LAYOUTS[layout])
+    if np.dtype(dtype).kind == "f" and options.get("predictor"):
+        options["predictor"] = 3
+    values = numbers(dtype)
+    write_tiff(tmp_path / "a.tif", values, **options)
+    info = probe(tmp_path / "a.tif")
+    assert (info.rows, info.columns, info.channels) == values.shape
+    assert info.dtype == np.dtype(dtype)
+    assert info.saturation == FULL[dtype]
+    band = in_bands(tmp_path / "a.tif")
+    assert band.dtype == np.float32
+    below = values < FULL[dtype]  # the rounding of a 32-bit number must not make it saturated
+    expected = fraction(values, FULL[dtype])
+    expected[below] = np.minimum(expected[below], np.nextafter(np.float32(1), 0))
+    np.testing.assert_array_equal(band, expected)
+    np.testing.assert_array_equal(band >= 1, values >= FULL[dtype])
+
+
+@pytest.mark.parametrize("layout", ["strips", "tiles", "lzw strips"])
+def test_rows_can_be_asked_for_in_any_order(tmp_path, layout):
+    values = numbers(np.uint16)
+    tifffile.imwrite(tmp_path / "a.tif", values, photometric="rgb", **LAYOUTS[layout])
+    with Photograph(tmp_path / "a.tif") as photograph:
+        for start, stop in [(60, 75), (0, 75), (15, 17), (3, 3), (74, 75), (0, 1)]:
+            np.testing.assert_array_equal(
+                photograph.band(start, stop), fraction(values[start:stop], 65535), strict=True
+            )
+        with pytest.raises(ValueError, match="not within the 75 rows"):
+            photograph.band(70, 76)
+
+
+@pytest.mark.parametrize("layout", ["lzw strips", "zstd tiles, predictor", "zstd planar strips"])
+def test_consecutive_bands_decode_nothing_twice(tmp_path, layout):
+    values, path = numbers(np.uint16), tmp_path / "a.tif"
+    write_tiff(path, values, **LAYOUTS[layout])
+    with Photograph(path) as photograph:
+        photograph.band(0, 9)
+        with tifffile.TiffFile(path) as file:
+            header_end = file.pages.first.dataoffsets[0]
+        whole = path.read_bytes()
+        with path.open("r+b") as file:  # what was not decoded before is now lost
+            file.write(whole[:header_end] + bytes(len(whole) - header_end))
+        np.testing.assert_array_equal(photograph.band(9, 16), fraction(values[9:16], 65535))
+        with pytest.raises(TileError, match="damaged"):
+            photograph.band(9, 40)
+
+
+@pytest.mark.parametrize("dtype", [np.float16, np.float64])
+@pytest.mark.parametrize("options", [{}, {"compression": "zstd"}], ids=["mapped", "compressed"])
+def test_other_floats_become_float32(tmp_path, dtype, options):
+    values = numbers(dtype, (20, 30))
+    tifffile.imwrite(tmp_path / "a.tif", values, **options)
+    assert probe(tmp_path / "a.tif").dtype == np.float32
+    np.testing.assert_array_equal(in_bands(tmp_path / "a.tif")[..., 0], values.astype(np.float32))
+
+
+@pytest.mark.parametrize("planar", ["contig", "separate"])
+def test_alpha_is_dropped(tmp_path, planar):
+    values = numbers(np.uint16, (20, 30, 4))
+    write_tiff(tmp_path / "a.tif", values, planarconfig=planar, extrasamples=["unassalpha"])
+    assert probe(tmp_path / "a.tif").channels == 3
+    np.testing.assert_array_equal(in_bands(tmp_path / "a.tif"), fraction(values[..., :3], 65535))
+    (tmp_path / "a.png").write_bytes(imagecodecs.png_encode(values))
+    assert probe(tmp_path / "a.png").channels == 3
+    np.testing.assert_array_equal(in_bands(tmp_path / "a.png"), fraction(values[..., :3], 65535))
+
+
+def test_only_the_first_page_is_read(tmp_path):
+    pages = [numbers(np.uint8, (20, 30), seed) for seed in (1, 2)]
+    with tifffile.TiffWriter(tmp_path / "a.tif") as file:
+        for page in pages:
+            file.write(page)
+    np.testing.assert_array_equal(in_bands(tmp_path / "a.tif")[..., 0], fraction(pages[0], 255))
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("shape", [(40, 30), (40, 30, 3)], ids=["grey", "colour"])
+def test_a_png_keeps_all_its_bits(tmp_path, dtype, shape):
+    values = numbers(dtype, shape)
+    (tmp_path / "a.png").write_bytes(imagecodecs.png_encode(values))
+    assert probe(tmp_path / "a.png").dtype == np.dtype(dtype)
+    expected = fraction(values, FULL[dtype]).reshape(40, 30, -1)
+    np.testing.assert_array_equal(in_bands(tmp_path / "a.png"), expected)
+
+
+@pytest.mark.parametrize("name", ["a.bmp", "a.tga", "a.png"])
+@pytest.mark.parametrize("mode", ["1", "L", "P", "RGB", "RGBA"])
+def test_small_formats_are_read_in_all_their_modes(tmp_path, name, mode):
+    if name == "a.tga" and mode == "1":
+        pytest.skip("TGA has no 1-bit images")
+    picture = Image.fromarray(numbers(np.uint8, (40, 30, 3)))
+    picture = picture.quantize(16) if mode == "P" else picture.convert(mode)
+    picture.save(tmp_path / name)
+    channels = 1 if mode in ("1", "L") else 3
+    assert probe(tmp_path / name).channels == channels
+    expected = np.asarray(picture.convert("L" if channels == 1 else "RGB")).reshape(40, 30, channels)
+    np.testing.assert_array_equal(in_bands(tmp_path / name), fraction(expected, 255))
+
+
+@pytest.mark.parametrize("format_", ["JPEG", "PNG", "TIFF"])
+def test_the_colour_profile_is_handed_on(tmp_path, format_):
+    from PIL import ImageCms
+
+    profile = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
+    path = tmp_path / f"a.{format_.lower()}"
+    Image.fromarray(numbers(np.uint8)).save(path, format_, icc_profile=profile)
+    assert probe(path).icc == profile
+
+
+def test_the_saturation_level_can_be_declared(tmp_path):
+    values = np.array([[0, 3999, 4000, 4001, 65535]], np.uint16)
+    tifffile.imwrite(tmp_path / "a.tif", values)
+    band = in_bands(tmp_path / "a.tif", encoding=Encoding(saturation=4000))[..., 0]
+    np.testing.assert_array_equal(band >= 1, values >= 4000)
+    np.testing.assert_array_equal(band, fraction(values, 4000))
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.uint32])
+def test_where_nothing_saturates_integers_stay_below_one(tmp_path, dtype):
+    values = numbers(dtype)
+    tifffile.imwrite(tmp_path / "a.tif", values, photometric="rgb")
+    encoding = Encoding(saturation="none")
+    assert np.isinf(probe(tmp_path / "a.tif", encoding).saturation)
+    band = in_bands(tmp_path / "a.tif", encoding=encoding)
+    assert not is_saturated(band).any()
+    np.testing.assert_allclose(band, values / FULL[dtype], rtol=2e-7)
+
+
+def test_floats_above_one_are_saturated_unless_declared_otherwise(tmp_path):
+    values = np.array([[0.5, 1.0, 37.25, -0.25]], np.float32)
+    tifffile.imwrite(tmp_path / "a.tif", values)
+    band = in_bands(tmp_path / "a.tif")
+    np.testing.assert_array_equal(band[..., 0], values)
+    np.testing.assert_array_equal(is_saturated(band), [[False, True, True, False]])
+    declared = in_bands(tmp_path / "a.tif", encoding=Encoding(saturation=50))
+    np.testing.assert_array_equal(is_saturated(declared), np.zeros((1, 4), bool))
+
+
+def test_the_srgb_curve_has_its_published_values():
+    # IEC 61966-2-1: the linear part, the point where the parts meet, and two 8-bit codes.
+    codes = np.array([0.0, 10 / 255, 0.04045, 128 / 255, 188 / 255, 1.0])
+    published = [0.0, 0.0030352698, 0.0031308, 0.2158605, 0.5028865, 1.0]
+    np.testing.assert_allclose(srgb_decoded(codes), published, rtol=1e-5)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
+def test_srgb_is_undone_after_dividing_by_the_saturation(dtype):
+    values = numbers(dtype)
+    light = linear_light(values, FULL[dtype] * 0.75, "srgb")
+    encoded = values.astype(np.float64) / (FULL[dtype] * 0.75)
+    np.testing.assert_allclose(light, srgb_decoded(encoded), rtol=1e-6, atol=1e-12)
+    np.testing.assert_array_equal(light >= 1, values >= FULL[dtype] * 0.75)
+    # The inverse curve brings the numbers back.
+    again = np.where(
+        light <= 0.0031308, light * 12.92, 1.055 * np.maximum(light, 0.0031308) ** (1 / 2.4) - 0.055
+    )
+    np.testing.assert_allclose(again, encoded, atol=2e-6)
+
+
+@pytest.mark.parametrize("pattern", ["RGGB", "BGGR", "GRBG", "GBRG"])
+@pytest.mark.parametrize("compression", [None, "zstd"])
+def test_a_mosaic_of_uniform_colour_becomes_that_colour(tmp_path, pattern, compression):
+    colour = {"R": 100, "G": 200, "B": 50}
+    cell = np.array([colour[c] for c in pattern], np.uint8).reshape(2, 2)
+    mosaic = np.tile(cell, (20, 15))[:39, :29]  # an odd row and column are dropped
+    tifffile.imwrite(tmp_path / "a.tif", mosaic, compression=compression, rowsperstrip=5)
+    encoding = Encoding(mosaic=pattern)
+    info = probe(tmp_path / "a.tif", encoding)
+    assert (info.rows, info.columns, info.channels) == (19, 14, 3)
+    band = in_bands(tmp_path / "a.tif", rows=4, encoding=encoding)
+    expected = np.broadcast_to(fraction(np.array([100, 200, 50], np.uint8), 255), (19, 14, 3))
+    np.testing.assert_array_equal(band, expected)
+
+
+@pytest.mark.parametrize("sample", range(4))
+def test_one_saturated_sample_of_a_cell_saturates_its_channel_alone(sample):
+    mosaic = np.full((2, 2), 0.25, np.float32)
+    mosaic.flat[sample] = 1
+    pixel = superpixels(mosaic, "GRBG")[0, 0]
+    np.testing.assert_array_equal(pixel >= 1, np.array(["R", "G", "B"]) == "GRBG"[sample])
+
+
+def test_the_greens_of_a_cell_are_averaged():
+    mosaic = np.array([[0.125, 0.25], [0.75, 0.5]], np.float32)
+    np.testing.assert_array_equal(superpixels(mosaic, "RGGB"), [[[0.125, 0.5, 0.5]]])
+
+
+def test_a_mosaic_must_be_a_grey_image(tmp_path):
+    tifffile.imwrite(tmp_path / "a.tif", numbers(np.uint8), photometric="rgb")
+    with pytest.raises(TileError, match=r"a\.tif: has 3 channels, but mosaic: RGGB is for grey files"):
+        probe(tmp_path / "a.tif", Encoding(mosaic="RGGB"))
+
+
+def test_grey_weighs_the_colours_and_keeps_a_single_channel():
+    image = np.eye(3, dtype=np.float32)
+    np.testing.assert_array_equal(grey(image), np.array([0.299, 0.587, 0.114], np.float32), strict=True)
+    np.testing.assert_array_equal(grey(image[..., 1:2]), image[..., 1])
+
+
+@pytest.mark.parametrize("band_rows", [1, 10, 1000])
+def test_block_means_do_not_depend_on_the_bands(tmp_path, band_rows):
+    # A ramp's block mean is the ramp at the block's centre.
+    rows, columns = np.mgrid[:50, :43]
+    tifffile.imwrite(tmp_path / "a.tif", (100 * rows + 7 * columns).astype(np.uint16))
+    with Photograph(tmp_path / "a.tif") as photograph:
+        means = reduced(photograph, 4, band_rows)
+    centre_row, centre_column = np.mgrid[:12, :10] * 4 + 1.5
+    expected = (100 * centre_row + 7 * centre_column) / 65535
+    assert means.dtype == np.float32
+    np.testing.assert_allclose(means[..., 0], expected, rtol=1e-6)
+
+
+def test_a_block_with_a_saturated_pixel_is_not_known_unless_kept(tmp_path):
+    values = np.zeros((8, 8, 3), np.uint8)
+    values[5, 2, 1] = 255
+    tifffile.imwrite(tmp_path / "a.tif", values, photometric="rgb")
+    with Photograph(tmp_path / "a.tif") as photograph:
+        means = reduced(photograph, 4)
+        kept = reduced(photograph, 4, keep_saturated=True)
+    unknown = np.zeros((2, 2, 3), bool)
+    unknown[1, 0] = True
+    np.testing.assert_array_equal(np.isnan(means), unknown)
+    expected = np.zeros((2, 2, 3), np.float32)
+    expected[1, 0, 1] = 1 / 16
+    np.testing.assert_array_equal(kept, expected)
+
+
+def write_large(path, rows=5000, columns=4000):
+    """20 megapixels of 16-bit RGB (120 MB) in zstd strips of 64 rows."""
+    strip = np.arange(64 * columns * 3, dtype=np.uint32).astype(np.uint16).reshape(64, columns, 3)
+    whole = np.concatenate([strip] * (rows // 64 + 1))[:rows]
+    tifffile.imwrite(path, whole, photometric="rgb", compression="zstd", rowsperstrip=64)
+    return strip, whole.nbytes
+
+
+def test_memory_of_banding_through_a_compressed_tiff_is_that_of_a_band(tmp_path):
+    strip, decoded_bytes = write_large(tmp_path / "a.tif")
+    last = fraction(strip[4999 % 64 : 4999 % 64 + 1], 65535)
+    tracemalloc.start()
+    try:
+        with Photograph(tmp_path / "a.tif") as photograph:
+            for start in range(0, 5000, 100):
+                band = photograph.band(start, min(start + 100, 5000))
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    np.testing.assert_array_equal(band[-1:], last)
+    assert peak < decoded_bytes / 5
+
+
+@pytest.mark.parametrize("with_scratch", [True, False], ids=["scratch", "memory"])
+def test_what_must_be_decoded_whole_rests_in_the_scratch_folder(tmp_path, with_scratch):
+    values = np.broadcast_to(np.arange(5000, dtype=np.uint16)[:, None], (5000, 8000))
+    assert values.nbytes > LARGE_BYTES
+    tifffile.imwrite(tmp_path / "a.tif", values, compression="zstd", rowsperstrip=5000)
+    scratch = tmp_path / "scratch"
+    tracemalloc.start()
+    try:
+        with Photograph(tmp_path / "a.tif", scratch=scratch if with_scratch else None) as photograph:
+            np.testing.assert_array_equal(photograph.band(10, 12), fraction(values[10:12, :, None], 65535))
+            at_rest = tracemalloc.get_traced_memory()[0]
+            np.testing.assert_array_equal(photograph.band(4999, 5000), fraction(values[-1:, :, None], 65535))
+    finally:
+        tracemalloc.stop()
+    assert (at_rest < LARGE_BYTES / 8) == with_scratch
+    assert scratch.exists() == with_scratch
+    assert not with_scratch or not list(scratch.iterdir())
+
+
+def test_photographs_on_scratch_are_decoded_one_at_a_time(tmp_path):
+    values = np.broadcast_to(np.arange(5000, dtype=np.uint16)[:, None], (5000, 8000))
+    tifffile.imwrite(tmp_path / "a.tif", values, compression="zstd", rowsperstrip=5000)
+    photographs = [Photograph(tmp_path / "a.tif", scratch=tmp_path) for _ in range(4)]
+    tracemalloc.start()
+    try:
+        with ThreadPoolExecutor(4) as threads:
+            list(threads.map(lambda photograph: photograph.band(0, 1), photographs))
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+        for photograph in photographs:
+            photograph.close()
+    assert peak < 2.5 * values.nbytes  # a strip and its copy; four at a time would be eight
+
+
+def test_distinct_photographs_are_read_from_distinct_threads(tmp_path):
+    values = [numbers(np.uint16, (200, 90, 3), seed) for seed in range(8)]
+    for i, value in enumerate(values):
+        write_tiff(tmp_path / f"{i}.tif", value, **list(LAYOUTS.values())[i])
+    with ThreadPoolExecutor(8) as threads:
+        found = list(threads.map(in_bands, [tmp_path / f"{i}.tif" for i in range(8)]))
+    for band, value in zip(found, values, strict=True):
+        np.testing.assert_array_equal(band, fraction(value, 65535))
+
+
+def test_a_hundred_megapixel_jpeg_is_read_without_a_warning(tmp_path):
+    Image.new("L", (10_200, 10_000), 128).save(tmp_path / "a.jpg", quality=50)
+    with Photograph(tmp_path / "a.jpg") as photograph:
+        np.testing.assert_array_equal(photograph.band(9_999, 10_000), np.float32(128 / 255))
+
+
+def test_closing_forgets_and_reading_opens_anew(tmp_path):
+    tifffile.imwrite(tmp_path / "a.tif", numbers(np.uint8), photometric="rgb", compression="lzw")
+    photograph = Photograph(tmp_path / "a.tif")
+    photograph.close()
+    first = photograph.band(0, 5)
+    photograph.close()
+    tifffile.imwrite(tmp_path / "a.tif", numbers(np.uint8, seed=9), photometric="rgb", compression="lzw")
+    assert not np.array_equal(photograph.band(0, 5), first)
+    photograph.close()
+
+
+# --- What is refused ---------------------------------------------------------------------------
+
+
+def read_whole(path):
+    with Photograph(path) as photograph:
+        return photograph.band(0, photograph.info.rows)
+
+
+def test_a_missing_file_an_empty_file_and_a_folder_are_named(tmp_path):
+    (tmp_path / "empty.tif").touch()
+    (tmp_path / "folder.tif").mkdir()
+    for name, found in [("none.tif", "no such file"), ("empty.tif", "empty"), ("folder.tif", "a folder")]:
+        with pytest.raises(TileError, match=f"{name}: {found}"):
+            probe(tmp_path / name)
+
+
+@pytest.mark.parametrize("name", ["a.tif", "a.tga", "a.dng", "a.xyz"])
+def test_what_is_no_image_is_refused_whatever_its_name(tmp_path, name):
+    (tmp_path / name).write_bytes(b"Dear conservator, this is a letter. " * 50)
+    with pytest.raises(TileError, match=f"{name}: "):
+        probe(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    "start", [b"II*\0", b"MM\0*", b"II+\0", b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"BM"]
+)
+@pytest.mark.parametrize("rest", [b"", b"\0" * 300, bytes(range(1, 200))], ids=["nothing", "zeros", "junk"])
+def test_a_good_start_with_a_bad_rest_is_refused(tmp_path, start, rest):
+    (tmp_path / "a").write_bytes(start + rest)
+    with pytest.raises(TileError, match=r"a: "):
+        probe(tmp_path / "a")
+
+
+@pytest.mark.parametrize("kept", [0.3, 0.6, 0.99])
+@pytest.mark.parametrize("layout", ["one strip", "strips", "tiles", "planar", "lzw strips", "packbits"])
+def test_a_truncated_tiff_is_refused_by_its_header_alone(tmp_path, layout, kept):
+    buffer = io.BytesIO()
+    write_tiff(buffer, numbers(np.uint16), **LAYOUTS[layout])
+    whole = buffer.getvalue()
+    (tmp_path / "a.tif").write_bytes(whole[: int(len(whole) * kept)])
+    with pytest.raises(TileError, match=r"a\.tif: (it is truncated|damaged or incomplete)"):
+        probe(tmp_path / "a.tif")
+
+
+@pytest.mark.parametrize("compression", ["lzw", "zlib", "zstd", "packbits"])
+def test_a_strip_cut_short_raises_and_gives_no_zeros(tmp_path, compression):
+    tifffile.imwrite(
+        tmp_path / "a.tif", numbers(np.uint16), photometric="rgb", compression=compression, rowsperstrip=16
+    )
+    with tifffile.TiffFile(tmp_path / "a.tif", mode="r+") as file:
+        counts = list(file.pages.first.databytecounts)
+        counts[2] //= 2
+        file.pages.first.tags["StripByteCounts"].overwrite(counts)
+    with Photograph(tmp_path / "a.tif") as photograph:
+        photograph.band(0, 32)
+        with pytest.raises(TileError, match=r"a\.tif: damaged or incomplete"):
+            photograph.band(30, 40)
+
+
+@pytest.mark.parametrize("tag", ["StripByteCounts", "StripOffsets"])
+@pytest.mark.parametrize("layout", ["strips", "lzw strips"])
+def test_a_strip_that_was_never_written_is_refused(tmp_path, tag, layout):
+    write_tiff(tmp_path / "a.tif", numbers(np.uint16), **LAYOUTS[layout])
+    with tifffile.TiffFile(tmp_path / "a.tif", mode="r+") as file:
+        values = list(file.pages.first.tags[tag].value)
+        values[3] = 0
+        file.pages.first.tags[tag].overwrite(values)
+    with pytest.raises(TileError, match=r"a\.tif: 1 of 5 strips were never written"):
+        probe(tmp_path / "a.tif")
+
+
+@pytest.mark.parametrize("name", ["a.png", "a.jpg", "a.bmp", "a.tga"])
+@pytest.mark.parametrize("kept", [0.2, 0.7, 0.95])
+def test_other_truncated_files_are_refused_when_they_are_read(tmp_path, name, kept):
+    Image.fromarray(numbers(np.uint8, (200, 300, 3))).save(tmp_path / name)
+    whole = (tmp_path / name).read_bytes()
+    (tmp_path / name).write_bytes(whole[: int(len(whole) * kept)])
+    with pytest.raises(TileError, match=f"{name}: damaged or incomplete"):
+        read_whole(tmp_path / name)
+
+
+def test_a_jpeg_whose_end_is_zeros_is_refused_and_padding_is_not(tmp_path):
+    Image.fromarray(numbers(np.uint8, (200, 300, 3))).save(tmp_path / "a.jpg")
+    whole = (tmp_path / "a.jpg").read_bytes()
+    (tmp_path / "padded.jpg").write_bytes(whole + bytes(100))
+    np.testing.assert_array_equal(read_whole(tmp_path / "padded.jpg"), read_whole(tmp_path / "a.jpg"))
+    half = len(whole) // 2
+    (tmp_path / "a.jpg").write_bytes(whole[:half] + bytes(len(whole) - half))
+    with pytest.raises(TileError, match=r"a\.jpg: its end is only zeros"):
+        read_whole(tmp_path / "a.jpg")
+
+
+@pytest.mark.parametrize("fault", [np.nan, np.inf])
+def test_nan_and_infinity_are_refused_naming_their_rows(tmp_path, fault):
+    values = numbers(np.float32, (40, 30))
+    values[[22, 25], 7] = fault
+    tifffile.imwrite(tmp_path / "a.tif", values)
+    with Photograph(tmp_path / "a.tif") as photograph:
+        photograph.band(0, 22)
+        with pytest.raises(TileError, match=r"a\.tif: holds NaN or infinity in rows 22 to 25"):
+            photograph.band(20, 30)
+
+
+REFUSED = {
+    "int16": (np.zeros((20, 32), np.int16), {}, "int16"),
+    "complex64": (np.zeros((20, 32), np.complex64), {}, "complex64"),
+    "uint64": (np.zeros((20, 32), np.uint64), {}, "uint64"),
+    "one bit": (np.zeros((20, 32), bool), {}, "bool"),
+    "five channels": (np.zeros((20, 32, 5), np.uint8), {"photometric": "minisblack"}, "5 channels"),
+    "CMYK": (np.zeros((20, 32, 4), np.uint8), {"photometric": "separated"}, "SEPARATED"),
+    "white is zero": (np.zeros((20, 32), np.uint8), {"photometric": "miniswhite"}, "MINISWHITE"),
+    "palette": (
+        np.zeros((20, 32), np.uint8),
+        {"photometric": "palette", "colormap": np.zeros((3, 256), np.uint16)},
+        "PALETTE",
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", REFUSED)
+def test_a_tiff_that_cannot_be_measured_is_refused_by_what_it_holds(tmp_path, kind):
+    values, options, found = REFUSED[kind]
+    options = {"planarconfig": "contig", **options} if values.ndim == 3 else options
+    tifffile.imwrite(tmp_path / "a.tif", values, **options)
+    with pytest.raises(TileError, match=rf"a\.tif: .*{found}.*export it as a grey or RGB TIFF"):
+        probe(tmp_path / "a.tif")
+
+
+def test_packed_numbers_are_refused(tmp_path):
+    tifffile.imwrite(tmp_path / "a.tif", np.zeros((20, 32), np.uint16))
+    with tifffile.TiffFile(tmp_path / "a.tif", mode="r+") as file:
+        file.pages.first.tags["BitsPerSample"].overwrite(12)
+    with pytest.raises(TileError, match="packed to 12 bits"):
+        probe(tmp_path / "a.tif")
+
+
+def test_a_cmyk_jpeg_is_refused(tmp_path):
+    Image.new("CMYK", (30, 20)).save(tmp_path / "a.jpg")
+    with pytest.raises(TileError, match="coded as CMYK; export it as grey or RGB"):
+        probe(tmp_path / "a.jpg")
+
+
+def test_a_header_of_more_than_a_gigapixel_is_refused_before_anything_is_decoded(tmp_path):
+    header = struct.pack(
+        "<2sIHHI IiiHHIIiiII", b"BM", 54, 0, 0, 54, 40, 40_000, 40_000, 1, 24, 0, 0, 0, 0, 0, 0
+    )
+    (tmp_path / "a.bmp").write_bytes(header)
+    with pytest.raises(TileError, match="40000 x 40000 pixels"):
+        probe(tmp_path / "a.bmp")
+
+
+def test_a_saturation_of_zero_is_refused(tmp_path):
+    tifffile.imwrite(tmp_path / "a.tif", numbers(np.uint8), photometric="rgb")
+    with pytest.raises(TileError, match="give a level above 0"):
+        probe(tmp_path / "a.tif", Encoding(saturation=0))
+
+
+def test_damage_is_told_once_and_nothing_is_printed(tmp_path, capfd, caplog):
+    caplog.set_level(logging.DEBUG)
+    tifffile.imwrite(tmp_path / "a.tif", numbers(np.uint16), photometric="rgb", rowsperstrip=16)
+    with tifffile.TiffFile(tmp_path / "a.tif", mode="r+") as file:
+        file.pages.first.tags["StripOffsets"].overwrite([8, 8])  # tifffile would log an error and mend it
+    with pytest.raises(TileError, match="it lists 2 of 5 strips"):
+        probe(tmp_path / "a.tif")
+    assert capfd.readouterr() == ("", "")
+    assert not caplog.records
+
+
+# --- Real files --------------------------------------------------------------------------------
+
+
+def test_a_real_16_bit_png_is_not_read_as_8_bit():
+    path = real("diligent/ball/001.png")
+    info = probe(path)
+    assert (info.rows, info.columns, info.channels, info.dtype) == (512, 612, 3, np.dtype(np.uint16))
+    sixteen = in_bands(path, rows=100) * 65535
+    assert (np.round(sixteen) % 257 != 0).any()  # 8 bits stretched to 16 would be multiples of 257
+
+
+@pytest.mark.parametrize("name", ["uw/gray/gray.0.tga", "harvard/cat/LightProbe-1/Image_08.JPG"])
+def test_real_8_bit_photographs_are_what_pillow_sees(name):
+    path = real(name)
+    with Image.open(path) as picture:
+        expected = np.asarray(picture.convert("RGB"))
+    np.testing.assert_array_equal(in_bands(path, rows=64), fraction(expected, 255))
+
+
+def test_a_real_bayer_mosaic_becomes_cells():
+    path = real("coins/italy/I_01.png")
+    mosaic = imagecodecs.png_decode(path.read_bytes())
+    assert probe(path, Encoding(mosaic="RGGB")).rows == 2748 // 2
+    with Photograph(path, Encoding(mosaic="RGGB")) as photograph:
+        cells = photograph.band(100, 120)
+    np.testing.assert_array_equal(cells[..., 0], fraction(mosaic[200:240:2, ::2], 255))
+    np.testing.assert_array_equal(cells[..., 2], fraction(mosaic[201:240:2, 1::2], 255))
+
+
+def test_a_real_raw_file_is_developed_linearly_and_alike():
+    import rawpy
+
+    path = real("raw/canon_eos_6d.dng")
+    info = probe(path, Encoding(mosaic="RGGB"))
+    assert (info.rows, info.columns, info.channels, info.dtype) == (816, 1224, 3, np.dtype(np.uint16))
+    with rawpy.imread(str(path)) as raw:
+        sensor = raw.raw_image_visible[..., :3].astype(np.float64)
+        black, white = raw.black_level_per_channel[0], raw.white_level
+    # This DNG has no mosaic: its numbers, less the black level, over the white level are the light.
+    light = (sensor - black) / (white - black)
+    np.testing.assert_allclose(in_bands(path, rows=100), light, atol=2 / 65535)
+
+
+def write_dng(path, mosaic):
+    """A minimal DNG of an RGGB sensor: black level 1024, white level 16383."""
+    identity = tuple(n for i in range(9) for n in ((1, 1) if i % 4 == 0 else (0, 1)))
+    tags = [
+        (50706, "B", 4, (1, 4, 0, 0), True),  # DNGVersion
+        (50708, "s", 0, "Camera of a test", True),
+        (33421, "H", 2, (2, 2), True),  # CFARepeatPatternDim
+        (33422, "B", 4, (0, 1, 1, 2), True),  # CFAPattern
+        (50714, "H", 1, 1024, True),  # BlackLevel
+        (50717, "H", 1, 16383, True),  # WhiteLevel
+        (50721, "2i", 9, identity, True),  # ColorMatrix1
+    ]
+    tifffile.imwrite(path, mosaic, photometric=32803, extratags=tags, metadata=None)
+
+
+@pytest.mark.parametrize("brightest", [2000, 13000, 16382])
+def test_the_gain_of_a_raw_file_does_not_follow_its_brightest_pixel(tmp_path, brightest):
+    cell = np.array([[4000, brightest], [brightest, 1500]], np.uint16)
+    write_dng(tmp_path / "a.dng", np.tile(cell, (32, 48)))
+    expected = (np.array([4000, brightest, 1500]) - 1024) / (16383 - 1024)
+    with Photograph(tmp_path / "a.dng", Encoding(mosaic="RGGB", transfer="srgb")) as photograph:
+        band = photograph.band(10, 20)
+    assert band.shape == (10, 96, 3)
+    np.testing.assert_allclose(band, np.broadcast_to(expected, band.shape), atol=3 / 65535)
+    assert not is_saturated(band).any()
+
+
+def test_the_white_level_of_a_raw_file_is_saturated(tmp_path):
+    mosaic = np.full((64, 96), 3000, np.uint16)
+    mosaic[20:40] = 16383
+    write_dng(tmp_path / "a.dng", mosaic)
+    with Photograph(tmp_path / "a.dng") as photograph:
+        saturated = is_saturated(photograph.band(0, 64))
+    assert saturated[21:39].all()
+    assert not saturated[:19].any()
+    assert not saturated[41:].any()
+
+
+@pytest.mark.parametrize("kept", [0.5, 0.99])
+def test_a_truncated_raw_file_is_refused(tmp_path, kept):
+    whole = real("raw/canon_eos_6d.dng").read_bytes()
+    (tmp_path / "a.dng").write_bytes(whole[: int(len(whole) * kept)])
+    with pytest.raises(TileError, match=r"a\.dng: it is truncated"):
+        probe(tmp_path / "a.dng")

@@ -1,0 +1,30 @@
+"""An integrator for nLights: the least-squares height as a sum of cosines."""
+
+import numpy as np
+from pydantic import Field
+from scipy.fft import dctn, idctn
+
+from nlights_core.algorithms import Integrator
+from nlights_core.fields import HeightMap, NormalField
+from nlights_core.registry import hookimpl
+
+
+class CosineBasis(Integrator):
+    name = "cosine-basis"
+    steepest_deg: float = Field(default=70, gt=0, lt=90, description="limit of the slopes, degrees")
+
+    def integrate(self, normals: NormalField) -> HeightMap:
+        p, q = (np.nan_to_num(steps.astype(float)) for steps in normals.gradient(self.steepest_deg))
+        flux = np.diff((p[:, 1:] + p[:, :-1]) / 2, axis=1, prepend=0, append=0)
+        flux += np.diff((q[1:] + q[:-1]) / 2, axis=0, prepend=0, append=0)
+        rows, columns = (4 * np.sin(np.pi * np.arange(n) / (2 * n)) ** 2 for n in flux.shape)
+        scale = rows[:, None] + columns
+        scale[0, 0] = np.inf
+        height = idctn(-dctn(flux) / scale)
+        height[np.isnan(normals.normals[..., 2])] = np.nan
+        return HeightMap((height - np.nanmean(height)).astype(np.float32), normals.grid)
+
+
+@hookimpl
+def nlights_algorithms() -> list[type[Integrator]]:
+    return [CosineBasis]
