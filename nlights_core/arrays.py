@@ -31,7 +31,7 @@ class BandWriter:
         self.shape, self.dtype, self._rows = shape, np.dtype(dtype), 0
         self._file = path.open("xb")
         header = {"descr": self.dtype.str, "fortran_order": False, "shape": shape}
-        np.lib.format.write_array_header_1_0(self._file, header)  # type: ignore[no-untyped-call]
+        np.lib.format.write_array_header_1_0(self._file, header)
 
     def write(self, band: Array) -> None:
         """Append rows."""

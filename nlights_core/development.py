@@ -80,6 +80,10 @@ def grid_of(tile: Tile, info: ImageInfo) -> PixelGrid:
     return PixelGrid(info.rows, info.columns, 1.0, unit="px")
 
 
+VIEW_COLUMNS = 300
+"""About how wide the small views of the photographs are, px."""
+
+
 @dataclass
 class Exposure:
     """What was seen of one photograph while it was read.
@@ -168,6 +172,7 @@ class Darkroom:
     mask: Photograph | None
     subject: str
     exposures: dict[str, Exposure] = field(default_factory=dict)
+    _views: list[Array] = field(default_factory=list)
 
     def raw(self, start: int, stop: int, lights: LightField) -> tuple[Array, Array, Array]:
         """Read a band of every photograph.
@@ -196,8 +201,14 @@ class Darkroom:
                 images[i] -= dark
             exposure = self.exposures.setdefault(lamp, Exposure())
             exposure.add(grey(images[i])[inside], saturated[i][inside])
-            images[i] /= lights.power[i].astype(np.float32)
+        step = max(1, self.grid.columns // VIEW_COLUMNS)
+        self._views.append(images[:, -start % step :: step, ::step].copy())
+        images /= lights.power.astype(np.float32)[:, None, None, :]
         return images, saturated, inside
+
+    def views(self) -> Array:
+        """Small views of the photographs read so far, (L, h, w, C) float32: for people to look at."""
+        return np.concatenate(self._views, axis=1)
 
     def bands(self, lights: LightField, plate: Plate | None, height: Array | None = None) -> Iterator[Band]:
         """Develop all bands from top to bottom, then check the exposures.

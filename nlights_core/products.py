@@ -43,7 +43,17 @@ WHAT = {
 def open_maps(store: Store, normals: ArtefactRef, height: ArtefactRef) -> dict[str, Array]:
     """Open the maps of a tile as memory maps, by name."""
     source, surface = store.path(normals), store.path(height)
-    names = ("normals", "albedo", "apparent", "confidence", "residual", "used", "saturated")
+    names = (
+        "normals",
+        "albedo",
+        "apparent",
+        "confidence",
+        "residual",
+        "used",
+        "saturated",
+        "shadow",
+        "frames",
+    )
     maps = {name: read_array(source / f"{name}.npy") for name in names}
     maps["height"] = read_array(surface / "height.npy")
     if (surface / "trend.npy").exists():

@@ -2,7 +2,8 @@
 
 Files, all on the photograph's grid: ``normals.npy`` (H, W, 3), ``albedo.npy`` (H, W, C),
 ``apparent.npy`` (H, W, C), ``confidence.npy`` and ``residual.npy`` (H, W), all float32, and
-``used.npy`` and ``saturated.npy`` (H, W) uint8: counts of lights.
+``used.npy``, ``saturated.npy`` and ``shadow.npy`` (H, W) uint8: counts of lights.  ``frames.npy``
+(L, h, w, C) float32 are small views of the photographs.
 """
 
 from __future__ import annotations
@@ -13,13 +14,16 @@ from pathlib import Path
 import numpy as np
 
 from nlights_core.algorithms import NormalSolver, Solution
-from nlights_core.arrays import BandWriter
+from nlights_core.arrays import BandWriter, write_array
 from nlights_core.development import Band, Darkroom
 from nlights_core.fields import LightField
 from nlights_core.frames import Array
 from nlights_core.images import grey
 from nlights_core.plates import Plate
 from nlights_core.store import Progress
+
+SHADOW = 0.02
+"""A light that shows less than this share of what the brightest one shows is counted as shadow."""
 
 AMBIENT_ROUNDS = 4
 """Ambient light is a share of an albedo that is itself solved for; the fixed point of that is
@@ -69,6 +73,7 @@ def solve(
         "residual": (shape, np.float32),
         "used": (shape, np.uint8),
         "saturated": (shape, np.uint8),
+        "shadow": (shape, np.uint8),
     }
     with ExitStack() as stack:
         out = {
@@ -89,7 +94,9 @@ def solve(
             out["residual"].write(relative_residual(band.images, shading, found))
             out["used"].write(_count(found.weights > 0))
             out["saturated"].write(_count(band.saturated))
+            out["shadow"].write(_count(_shadowed(band)))
             progress(band.stop / room.grid.rows)
+    write_array(folder / "frames.npy", room.views())
 
 
 def _solved(solver: NormalSolver, band: Band) -> Solution:
@@ -136,7 +143,7 @@ def coloured_albedo(images: Array, shading: Array, weights: Array) -> Array:
         out += share[..., None] * image
         total += np.where(w > 0, share * s, np.float32(0))
     with np.errstate(divide="ignore", invalid="ignore"):
-        out /= np.where(total > 0, total, np.nan)[..., None]
+        out /= np.where(total > 0, total, np.float32(np.nan))[..., None]
     return out
 
 
@@ -156,6 +163,13 @@ def _apparent(band: Band) -> Array:
     """Apparent colour: the mean over lamps, as a flat matt surface of that albedo would show it."""
     upward = sum(np.broadcast_to(light[..., 2], band.images.shape[1:3]) for light in band.lights)
     return np.asarray(band.images.sum(axis=0) / np.asarray(upward)[..., None], np.float32)
+
+
+def _shadowed(band: Band) -> Array:
+    """Usable samples below `SHADOW` of the pixel's brightest, whatever the solver did with them."""
+    images = grey(band.images)
+    brightest = np.max(np.where(band.weights > 0, images, np.float32(0)), axis=0)
+    return np.asarray((band.weights > 0) & (images < SHADOW * brightest))
 
 
 def _count(flags: Array) -> Array:

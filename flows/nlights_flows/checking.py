@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -38,6 +38,18 @@ class Finding:
     problems: list[str] = field(default_factory=list)
 
 
+def check(tiles: Sequence[Tile], recipe: Recipe, progress: Callable[[float], None]) -> list[Finding]:
+    """Check tile after tile; see `check_tile`."""
+    findings = []
+    for i, tile in enumerate(tiles):
+
+        def share(part: float, i: int = i) -> None:
+            progress((i + part) / len(tiles))
+
+        findings.append(check_tile(tile, recipe, share))
+    return findings
+
+
 def check_tile(tile: Tile, recipe: Recipe, progress: Callable[[float], None]) -> Finding:
     """Read every photograph of a tile and see whether a recipe can use it.
 
@@ -58,8 +70,12 @@ def check_tile(tile: Tile, recipe: Recipe, progress: Callable[[float], None]) ->
     )
     sets = [False, True] if tile.flats else [False]
     for i, flats in enumerate(sets):
+
+        def share(part: float, i: int = i) -> None:
+            progress((i + part) / len(sets))
+
         try:
-            _read(tile, recipe, flats, finding, lambda share, i=i: progress((i + share) / len(sets)))  # type: ignore[misc]
+            _read(tile, recipe, flats, finding, share)
         except (NlightsError, OSError) as fault:
             finding.problems.append(str(fault))
     if needs_flats and not tile.flats:

@@ -139,11 +139,7 @@ def check(
     chosen = load_recipe(recipe)
     tiles = load_capture(artwork, stand=stand, root=root)
     with console.progress_bar("reading photographs") as progress:
-        findings = []
-        for i, tile in enumerate(tiles):
-            findings.append(
-                checking.check_tile(tile, chosen, lambda share, i=i: progress((i + share) / len(tiles)))
-            )
+        findings = checking.check(tiles, chosen, progress)
     console.show_findings(findings)
     bad = sum(bool(finding.problems) for finding in findings)
     raise typer.Exit(0 if not bad else 2 if bad == len(findings) else 1)

@@ -14,7 +14,7 @@ from nlights_core import products
 from nlights_core.capture import Tile
 from nlights_core.errors import NlightsError
 from nlights_core.recipe import Recipe
-from nlights_core.store import ArtefactRef, Progress, Store
+from nlights_core.store import ArtefactRef, Store
 from nlights_flows.chain import digitise_tile
 
 
@@ -87,8 +87,7 @@ def run_directly(tile: Tile, recipe: Recipe, store: Store, out: Path, watch: Wat
         name = stage.__name__
         watch(tile.name, name, 0.0)
         work = stage(store, tile, *arguments)
-        progress: Progress = lambda share: watch(tile.name, name, min(share, 0.99))  # noqa: E731
-        if not store.ensure(work, progress):
+        if not store.ensure(work, lambda share: watch(tile.name, name, min(share, 0.99))):
             made.append(name)
         watch(tile.name, name, 1.0)
         return work.ref  # type: ignore[no-any-return]
@@ -118,6 +117,6 @@ def explained(fault: BaseException, store: Store) -> str:
         return f"not enough memory ({fault}); close other programs or use a larger machine"
     where = traceback.extract_tb(fault.__traceback__)[-1]
     return (
-        f"a defect, not your data: {type(fault).__name__}: {fault} ({Path(where.filename).name}:{where.lineno}); "
-        "please report it to the author of the algorithm"
+        f"a defect, not your data: {type(fault).__name__}: {fault} "
+        f"({Path(where.filename).name}:{where.lineno}); please report it to the author of the algorithm"
     )

@@ -21,8 +21,9 @@ from nlights_core.spheres import (
     to_grey,
 )
 
-LEAST_SUPPORT = 0.45
-"""Share of the outline that must be seen before a circle found automatically is believed."""
+LEAST_SUPPORT = 0.35
+"""Share of the outline that must be seen before a circle is believed: photographed spheres show 0.5
+to 0.9, noise pretends 0.2."""
 
 
 class ChromeSphere(LightModel):

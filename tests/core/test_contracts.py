@@ -1,5 +1,6 @@
 """The contracts, tested by mutants: each fault must be caught by the test meant for it."""
 
+from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
@@ -609,3 +610,12 @@ def test_every_test_of_every_contract_catches_a_mutant():
 def test_there_is_a_contract_for_every_kind():
     assert {contract.kind for contract in REFERENCES} == set(KINDS)
     assert {contract.__name__ for contract in REFERENCES} == set(contracts.__all__) - {"AlgorithmContract"}
+
+
+def test_the_page_on_plugins_quotes_the_example_plugin_whole():
+    root = Path(__file__).parents[2]
+    page = (root / "docs" / "writing-a-plugin.md").read_text(encoding="utf-8")
+    for name in ("nlights_cosine.py", "test_nlights_cosine.py", "pyproject.toml"):
+        assert (root / "tests" / "example_plugin" / name).read_text(encoding="utf-8").strip() in page
+    for contract in REFERENCES:
+        assert f"`{contract.__name__}`" in page

@@ -61,6 +61,7 @@ def tile(rows=48, columns=64, channels=3, known=1.0, unit="mm"):
         "version": "0.1.0",
         "files": [{"name": "height.tif", "bytes": 407_560_000, "what": "height, mm"}],
         "key": "ab12" * 16,
+        "mesh": {"glb": {"faces": 4000, "vertices": 2100, "largest_deviation_mm": 0.0123, "covered": 0.999}},
     }
     return record, maps, grid
 
@@ -127,7 +128,7 @@ def test_every_map_has_its_picture_and_quantities_have_units(tmp_path):
         "Residual in % of albedo",
         "Lights used: share of the pixels",
         "Confidence, 0 (unknown) to 1",
-        "Reflection, relative to the white reference",
+        "Reflection, on the scale of the albedo",
         "Light of Relio_2",
         "Trend in µm",
         "Bias in degrees",
@@ -174,6 +175,7 @@ def test_header_states_artwork_tile_scale_frame_and_provenance(tmp_path):
         "height.tif",
         "408 MB",
         "610.5",
+        "at most 0.0123 mm and covers 99.9 % of it",
     ):
         assert fact in words, fact
 
@@ -219,7 +221,12 @@ def test_a_level_surface_is_reported(tmp_path):
 
 def test_without_a_scale_lengths_are_pixels_and_millimetres_are_not_mentioned(tmp_path):
     record, maps, grid = tile(unit="px")
-    record |= {"origin_mm": None, "files": [], "lights": LightField(LAMPS, directions=np.eye(3)).record()}
+    record |= {
+        "origin_mm": None,
+        "files": [],
+        "mesh": None,
+        "lights": LightField(LAMPS, directions=np.eye(3)).record(),
+    }
     words = written(tmp_path, record, maps, grid).read()
     assert "scale not known: heights in pixels" in words
     assert "Height in pixels" in words
@@ -238,6 +245,13 @@ def test_more_than_sixteen_lights_get_a_colour_scale(tmp_path):
     record, maps, grid = tile()
     maps["used"] = np.random.default_rng(0).integers(0, 97, grid.shape).astype(np.uint8)
     assert "Lights used" in written(tmp_path, record, maps, grid).read()
+
+
+def test_a_relative_albedo_is_shown_at_a_stated_exposure(tmp_path):
+    record, maps, grid = tile()
+    assert "brightened" not in written(tmp_path, record, maps, grid).read()
+    maps["albedo"][:] = 0.01
+    assert "This picture is brightened × 90." in written(tmp_path, record, maps, grid).read()
 
 
 def test_a_large_tile_is_shown_reduced_and_its_middle_pixel_by_pixel(tmp_path, monkeypatch):
@@ -260,13 +274,14 @@ def test_raking_light_brightens_slopes_that_face_the_upper_left():
     assert gain > 0
 
 
-def test_unknown_is_hatched_in_a_neutral_grey():
-    colours = np.zeros((40, 40, 3), np.uint8)
-    known = np.zeros((40, 40), bool)
-    known[:20] = True
-    seen = pictures.hatch(colours, known)
-    assert (seen[:20] == 0).all()
-    assert set(np.unique(seen[20:])) == {164, 196}
+def test_unknown_is_hatched_in_a_neutral_grey_finer_than_a_pixel():
+    known = np.zeros((4, 3), bool)
+    known[:2] = True
+    seen = pictures.hatch(np.zeros((4, 3, 3), np.uint8), known)
+    assert seen.shape == (600, 450, 3)
+    assert (seen[:300] == 0).all()
+    assert set(np.unique(seen[300:])) == {164, 196}
+    assert set(np.unique(seen[300:450, :150])) == {164, 196}  # both greys within one pixel
     assert (seen[..., 0] == seen[..., 2]).all()
 
 

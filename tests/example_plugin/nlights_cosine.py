@@ -10,6 +10,8 @@ from nlights_core.registry import hookimpl
 
 
 class CosineBasis(Integrator):
+    """The surface of least-squares steps, as a sum of cosines; unknown slopes count as level."""
+
     name = "cosine-basis"
     steepest_deg: float = Field(default=70, gt=0, lt=90, description="limit of the slopes, degrees")
 

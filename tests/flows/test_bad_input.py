@@ -28,7 +28,7 @@ def digitise(capture: Path, out: Path, *options, code: int) -> str:
 
 
 def leftovers(out: Path) -> list[Path]:
-    return [path for path in out.rglob(".draft-*")] if out.exists() else []
+    return list(out.rglob(".draft-*")) if out.exists() else []
 
 
 def black(path: Path) -> None:

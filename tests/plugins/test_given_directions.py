@@ -4,10 +4,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from nlights_plugins.given_directions import GivenDirections, read_directions
 
 from nlights_core.capture import GivenLights, Tile
 from nlights_core.errors import TileError
+from nlights_plugins.given_directions import GivenDirections, read_directions
 
 DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data"
 

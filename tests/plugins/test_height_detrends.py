@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from nlights_plugins.height_detrends import ParabolicFit, parabolic_coefficients
 
 from nlights_core.fields import HeightMap
 from nlights_core.frames import PixelGrid
+from nlights_plugins.height_detrends import ParabolicFit, parabolic_coefficients
 
 
 @pytest.fixture

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from nlights_plugins.integrators import FrankotChellappa, Simchony
 
 from nlights_core.fields import NormalField
 from nlights_core.frames import PixelGrid
+from nlights_plugins.integrators import FrankotChellappa, Simchony
 
 CAMERA = (0.0, 0.0, 1500.0)
 ORTHOGRAPHIC = PixelGrid(60, 81, 0.5)

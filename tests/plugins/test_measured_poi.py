@@ -4,12 +4,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from nlights_plugins.measured_poi import MeasuredPoi
 from pydantic import ValidationError
 
 from nlights_core.capture import Tile
 from nlights_core.errors import TileError
 from nlights_core.stands import Axes, Lamp, Stand
+from nlights_plugins.measured_poi import MeasuredPoi
 
 STAND = Stand(
     name="wall",
