@@ -116,8 +116,8 @@ def continued(reading: Array, x: Array, y: Array, step: float) -> Plate:
             known = np.isfinite(reading[i, ..., c]) & (reading[i, ..., c] > 0)
             if known.mean() < 0.5:
                 raise TileError(
-                    f"flats: the reading of lamp {i + 1} is known on {known.mean():.0%} of the frame only (the"
-                    " rest is saturated or black); photograph the flat reference again"
+                    f"flats: the reading of lamp {i + 1} is known on {known.mean():.0%} of the frame only "
+                    "(the rest is saturated or black); photograph the flat reference again"
                 )
             values = np.log(np.where(known, reading[i, ..., c], 1.0).astype(np.float64))
             fit = np.linalg.lstsq(inner[known], values[known], rcond=None)[0]

@@ -136,15 +136,14 @@ def coloured_albedo(images: Array, shading: Array, weights: Array) -> Array:
     (h, w, C) float32 array
         NaN where not known.
     """
-    out = np.zeros(images.shape[1:], np.float32)
+    out: Array = np.zeros(images.shape[1:], np.float32)
     total = np.zeros(images.shape[1:3], np.float32)
     for image, s, w in zip(images, shading, weights, strict=True):
         share = np.where(w > 0, w * s, np.float32(0))
         out += share[..., None] * image
         total += np.where(w > 0, share * s, np.float32(0))
     with np.errstate(divide="ignore", invalid="ignore"):
-        out /= np.where(total > 0, total, np.float32(np.nan))[..., None]
-    return out
+        return np.asarray(out / np.where(total > 0, total, np.float32(np.nan))[..., None])
 
 
 def relative_residual(images: Array, shading: Array, found: Solution) -> Array:

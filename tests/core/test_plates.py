@@ -1,0 +1,97 @@
+"""Plates: smooth, continued past the frame, and read along each lamp's ray."""
+
+import numpy as np
+import pytest
+
+from nlights_core.configurations import load_stand
+from nlights_core.errors import TileError
+from nlights_core.fields import LightField
+from nlights_core.frames import PixelGrid
+from nlights_core.plates import block_size, continued, read_plate, write_plate
+
+
+def horizontal() -> LightField:
+    stand = load_stand("horizontal")
+    positions = stand.lamp_positions()
+    axes = -positions / np.linalg.norm(positions, axis=1, keepdims=True)
+    exponents = np.full(8, stand.lamp.exponent)
+    return LightField(tuple(stand.lamps), positions=positions, axes=axes, exponents=exponents)
+
+
+GRID = PixelGrid(750, 1000, 0.5, (0.0, 0.0, 1542.0))
+
+
+def lensed_plate():
+    """What the horizontal stand's lensed lamps give on the plane, known only in the frame."""
+    block = block_size(GRID)
+    x, y = GRID.block_centres(block)
+    points = np.stack([*np.meshgrid(x, y), np.zeros((len(y), len(x)))])
+    lights = horizontal()
+    return lights, continued(lights.vectors(points)[..., 2:], x, y, block * GRID.pixel_size)
+
+
+def test_inside_the_frame_the_plate_is_what_was_given():
+    lights, plate = lensed_plate()
+    points = GRID.points(0, GRID.rows)[:, 8:-8:31, 8:-8:37]
+    truth = lights.vectors(points)[..., 2]
+    for i in range(8):
+        found = plate.at(i, points[0], points[1])[..., 0]
+        np.testing.assert_allclose(found, truth[i], rtol=2e-3)
+
+
+def test_forty_millimetres_past_the_frame_it_is_still_right_to_a_few_percent():
+    lights, plate = lensed_plate()
+    x, y = (a.astype(np.float32) for a in np.meshgrid([-285.0, 285.0], np.linspace(-180, 180, 9)))
+    truth = lights.vectors(np.stack([x, y, 0 * x]))[..., 2]
+    for i in range(8):
+        np.testing.assert_allclose(plate.at(i, x, y)[..., 0], truth[i], rtol=0.25)
+    near = x * 0 + np.sign(x) * 255
+    truth = lights.vectors(np.stack([near, y, 0 * x]))[..., 2]
+    for i in range(8):
+        np.testing.assert_allclose(plate.at(i, near, y)[..., 0], truth[i], rtol=0.03)
+
+
+def test_read_along_the_lamps_ray_the_emission_cancels_at_any_height():
+    lights = horizontal()
+    z = 8.0
+    points = GRID.points(0, GRID.rows, np.full(GRID.shape, z))[:, ::150, ::150]
+    foot = lights.plane_points(points)
+    bare = LightField(lights.lamps, positions=lights.positions)
+    for i in range(8):
+        on_plane = np.stack([foot[i, 0], foot[i, 1], 0 * foot[i, 0]])
+        with_lens = lights.only(i).vectors(points)[0] / lights.only(i).vectors(on_plane)[0, ..., 2:]
+        without = bare.only(i).vectors(points)[0] / bare.only(i).vectors(on_plane)[0, ..., 2:]
+        np.testing.assert_allclose(with_lens, without, rtol=1e-4)
+
+
+def test_a_point_of_the_plane_is_its_own_foot():
+    points = GRID.points(0, 5)
+    foot = horizontal().plane_points(points)
+    for i in range(8):
+        np.testing.assert_allclose(foot[i], points[:2], atol=1e-4)
+
+
+def test_holes_are_bridged_and_a_plate_mostly_unknown_is_refused():
+    x, y = GRID.block_centres(4)
+    reading = np.ones((1, len(y), len(x), 1), np.float32)
+    reading[0, 10:20, 10:20] = np.nan
+    plate = continued(reading, x, y, 2.0)
+    np.testing.assert_allclose(plate.logarithm, 0, atol=1e-6)
+    reading[0, :, : 2 * len(x) // 3] = np.nan
+    with pytest.raises(TileError, match="lamp 1"):
+        continued(reading, x, y, 2.0)
+
+
+def test_a_plate_is_read_back_as_it_was_written(tmp_path):
+    _, plate = lensed_plate()
+    write_plate(tmp_path, plate)
+    again = read_plate(tmp_path)
+    np.testing.assert_array_equal(again.logarithm, plate.logarithm)
+    assert (again.left, again.top, again.step) == (plate.left, plate.top, plate.step)
+
+
+def test_in_the_frame_only_is_shown_to_people():
+    _, plate = lensed_plate()
+    inside = plate.inside(GRID)
+    block = block_size(GRID)
+    assert inside.shape[1:3] == (GRID.rows // block, GRID.columns // block)

@@ -1,0 +1,107 @@
+"""Recipes and the registry: what is installed, what is shipped, and what is refused at the door."""
+
+import json
+import pickle
+from collections.abc import Iterable
+from pathlib import Path
+from typing import ClassVar
+
+import pytest
+
+from nlights_core.algorithms import Algorithm, HeightDetrend, Integrator
+from nlights_core.configurations import shipped_names
+from nlights_core.errors import PluginError, RecipeError
+from nlights_core.fields import HeightMap, NormalField
+from nlights_core.recipe import load_recipe, recipe_schema
+from nlights_core.registry import Offer, Registry, installed
+
+SCHEMA = Path(__file__).parents[2] / "configs" / "recipe.schema.json"
+
+
+def bundled() -> Registry:
+    return Registry(offer for offer in installed().offers() if offer.distribution == "nlights")
+
+
+@pytest.mark.parametrize("name", shipped_names("recipes"))
+def test_every_shipped_recipe_loads_pickles_and_survives_its_own_record(name, tmp_path):
+    import yaml
+
+    recipe = load_recipe(name)
+    assert pickle.loads(pickle.dumps(recipe)) == recipe
+    path = tmp_path / f"{name}.yaml"
+    path.write_text(yaml.safe_dump(recipe.record()))
+    assert load_recipe(str(path)) == recipe
+
+
+def test_the_schema_beside_the_recipes_is_true():
+    expected = json.dumps(recipe_schema(bundled()), indent=1) + "\n"
+    assert SCHEMA.read_text(encoding="utf-8") == expected, (
+        "run: python -m tests.core.test_recipe, to write configs/recipe.schema.json anew"
+    )
+
+
+def test_every_fault_is_told_at_once_with_its_line(tmp_path):
+    path = tmp_path / "bad.yaml"
+    path.write_text(
+        "light_model: {use: measured-poi}\nnormals: {use: least-squares, shadow: -1}\n"
+        "integrator: {use: simchonny}\npasses: 9\n"
+    )
+    with pytest.raises(RecipeError) as fault:
+        load_recipe(str(path))
+    said = str(fault.value)
+    assert "bad.yaml:2: normals.shadow: should be at least 0; got -1" in said
+    assert "bad.yaml:3: integrator.use: no integrator is called 'simchonny'; did you mean 'simchony'?" in said
+    assert "available: frankot-chellappa  (nlights 0.1.0)" in said
+
+
+def test_an_algorithm_of_another_slot_is_no_answer(tmp_path):
+    path = tmp_path / "bad.yaml"
+    path.write_text("light_model: simchony\nnormals: least-squares\nintegrator: simchony\n")
+    with pytest.raises(RecipeError, match="no light model is called 'simchony'"):
+        load_recipe(str(path))
+
+
+class Half(Integrator):
+    name: ClassVar[str] = "half"
+
+
+class Nameless(HeightDetrend):
+    def trend(self, height: HeightMap):
+        return height.height * 0
+
+
+class Stray(Algorithm):
+    slot: ClassVar[str] = "nowhere"
+    name: ClassVar[str] = "stray"
+
+
+class Twin(Integrator):
+    name: ClassVar[str] = "simchony"
+
+    def integrate(self, normals: NormalField) -> HeightMap:
+        return HeightMap(normals.normals[..., 2], normals.grid)
+
+
+def refused(classes: Iterable[object]) -> str:
+    with pytest.raises(PluginError) as fault:
+        Registry([*installed().offers(), *(Offer(cls, "shady", "1.0") for cls in classes)])  # type: ignore[arg-type]
+    return str(fault.value)
+
+
+def test_what_could_fail_at_night_is_refused_at_start_with_its_distribution():
+    assert "shady 1.0: Half lacks integrate" in refused([Half])
+    assert "shady 1.0: Nameless has no name" in refused([Nameless])
+    assert "shady 1.0: Stray is of no known kind" in refused([Stray])
+    assert "is offered by nlights 0.1.0 and by shady 1.0" in refused([Twin])
+    assert "no subclass of Algorithm" in refused([int])
+
+
+def test_every_bundled_algorithm_has_documented_bounded_options():
+    for offer in bundled().offers():
+        assert offer.algorithm.__doc__
+        for name, field in offer.algorithm.model_fields.items():
+            assert field.description, f"{offer.algorithm.name}.{name} is not described"
+
+
+if __name__ == "__main__":
+    SCHEMA.write_text(json.dumps(recipe_schema(bundled()), indent=1) + "\n", encoding="utf-8")
