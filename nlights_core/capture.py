@@ -39,6 +39,9 @@ class Sphere(Record):
         default=None, description="points clicked on the outline: column, row; px"
     )
     mask: Path | None = Field(default=None, description="image that is not 0 on the sphere")
+    outline: Path | None = Field(
+        default=None, description="photograph in even light that shows the sphere's outline well"
+    )
 
 
 class GivenLights(Record):

@@ -30,6 +30,7 @@ class _Sphere(Record):
     circle_px: tuple[float, float, Positive] | None = None
     points_px: list[tuple[float, float]] | None = Field(default=None, min_length=3)
     mask: str | None = None
+    outline: str | None = None
 
 
 class _Lights(Record):
@@ -181,6 +182,7 @@ class _Reader:
             circle_px=sphere.circle_px,
             points_px=tuple(sphere.points_px) if sphere.points_px else None,
             mask=self._optional((*at, "mask"), sphere.mask, tile),
+            outline=self._optional((*at, "outline"), sphere.outline, tile),
         )
 
     def _lights(self) -> GivenLights | None:

@@ -110,8 +110,8 @@ def find_circle(photographs: Array) -> tuple[Array, float]:
     Parameters
     ----------
     photographs : (L, h, w) array
-        Grey photographs of one sphere under all lamps; its radius is from 12 to 55 % of the
-        shorter side.
+        Grey photographs of one sphere under all lamps, or one in even light, which shows the
+        outline better; its radius is from 12 to 55 % of the shorter side.
 
     Returns
     -------

@@ -73,6 +73,7 @@ def lights(store: Store, tile: Tile, model: LightModel) -> Work:
                 "circle_px": sphere.circle_px,
                 "points_px": sphere.points_px,
                 "mask": store.digest(sphere.mask) if sphere.mask else None,
+                "outline": store.digest(sphere.outline) if sphere.outline else None,
             }
             for sphere in tile.spheres
         ],

@@ -29,8 +29,8 @@ to 0.9, noise pretends 0.2."""
 class ChromeSphere(LightModel):
     """Distant lamps, each in the direction that its highlight on chrome spheres tells.
 
-    PSBox's method [1]_ without its clicking: the circle is found in the photographs unless the
-    capture states it.  The directions of several spheres are averaged.  Known errors are 2 to 3
+    PSBox's method [1]_ without its clicking: the circle is found in the photographs (best in one
+    in even light, ``outline``) unless the capture states it.  The directions of several spheres are averaged.  Known errors are 2 to 3
     degrees, and the whole field gets one direction: a baseline for measured positions.
 
     References
@@ -101,7 +101,7 @@ class ChromeSphere(LightModel):
 
 
 def _circle(tile: Tile, sphere: Sphere, read: Read) -> Array:
-    """The sphere's outline: as stated, from clicked points, from a mask, or found; (3,) px."""
+    """Circle of the sphere: as stated, from clicked points, from a mask, or found; (3,) px."""
     if sphere.circle_px is not None:
         return np.array(sphere.circle_px, float)
     if sphere.points_px is not None:
@@ -117,15 +117,16 @@ def _circle(tile: Tile, sphere: Sphere, read: Read) -> Array:
             raise TileError(
                 f"{sphere.mask}: no sphere in the mask: {fault}; paint the sphere white"
             ) from fault
-    first = sphere.frames[tile.lamps[0]]
+    seen = [sphere.outline] if sphere.outline else [sphere.frames[lamp] for lamp in tile.lamps]
+    first = seen[0]
     # A thousand pixels place the outline to a thousandth of the sphere's size.
     factor = max(1, round(max(read(first).shape[:2]) / 1000))
-    greys = [to_grey(read(sphere.frames[lamp], reduce=factor)) for lamp in tile.lamps]
+    greys = [to_grey(read(path, reduce=factor)) for path in seen]
     circle, support = find_circle(np.stack(greys))
     if support < LEAST_SUPPORT:
         raise TileError(
             f"{first}: no circle found: only {100 * support:.0f} % of the best one's outline is seen "
-            f"({100 * LEAST_SUPPORT:.0f} % needed); give the sphere's circle_px, points_px or mask"
+            f"({100 * LEAST_SUPPORT:.0f} % needed); give the sphere's outline, circle_px, points_px or mask"
         )
     # The centre of a block of pixels lies half a block, less half a pixel, after its first one.
     return np.asarray(circle * factor + np.array([0.5, 0.5, 0]) * (factor - 1))

@@ -1,7 +1,6 @@
 """An integrator for nLights: the least-squares height as a sum of cosines."""
 
 import numpy as np
-from pydantic import Field
 from scipy.fft import dctn, idctn
 
 from nlights_core.algorithms import Integrator
@@ -13,18 +12,16 @@ class CosineBasis(Integrator):
     """The surface of least-squares steps, as a sum of cosines; unknown slopes count as level."""
 
     name = "cosine-basis"
-    steepest_deg: float = Field(default=70, gt=0, lt=90, description="limit of the slopes, degrees")
 
     def integrate(self, normals: NormalField) -> HeightMap:
-        p, q = (np.nan_to_num(steps.astype(float)) for steps in normals.gradient(self.steepest_deg))
+        p, q = (np.nan_to_num(steps.astype(float)) for steps in normals.gradient())
         flux = np.diff((p[:, 1:] + p[:, :-1]) / 2, axis=1, prepend=0, append=0)
         flux += np.diff((q[1:] + q[:-1]) / 2, axis=0, prepend=0, append=0)
         rows, columns = (4 * np.sin(np.pi * np.arange(n) / (2 * n)) ** 2 for n in flux.shape)
-        scale = rows[:, None] + columns
-        scale[0, 0] = np.inf
-        height = idctn(-dctn(flux) / scale)
+        scale = np.add.outer(rows, columns)
+        height = idctn(-dctn(flux) / np.where(scale > 0, scale, np.inf))
         height[np.isnan(normals.normals[..., 2])] = np.nan
-        return HeightMap((height - np.nanmean(height)).astype(np.float32), normals.grid)
+        return HeightMap(np.float32(height - np.nanmean(height)), normals.grid)
 
 
 @hookimpl

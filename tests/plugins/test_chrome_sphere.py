@@ -169,6 +169,20 @@ def test_circles_found_without_a_click_leave_the_directions_within_1_degree(capt
 
 
 @needs_data
+@pytest.mark.parametrize("capture", ["psbox", "harvard/cat", "harvard/pig"])
+def test_found_in_a_photograph_in_even_light_the_directions_are_within_half_a_degree(capture):
+    probes = dict.fromkeys(["LightProbe-1", "LightProbe-2"])
+    tile = photographed(DATA / capture, probes)
+    spheres = tuple(
+        sphere.model_copy(update={"outline": DATA / capture / probe / "ref.JPG"})
+        for sphere, probe in zip(tile.spheres, probes, strict=True)
+    )
+    field = ChromeSphere().locate(tile.model_copy(update={"spheres": spheres}), read)
+    shipped = np.loadtxt(DATA / capture / "light_directions.txt").T
+    assert angles(field.directions, shipped).max() < 0.5
+
+
+@needs_data
 def test_the_sphere_of_uw_has_the_handedness_of_its_light_file_and_needs_no_mask():
     folder = DATA / "uw" / "chrome"
     frames = {str(i): folder / f"chrome.{i}.tga" for i in range(12)}
