@@ -229,10 +229,7 @@ def _saturation(path: Path, dtype: np.dtype[np.generic], encoding: Encoding) -> 
     if encoding.saturation == "none":
         return float("inf")
     default = RAW_SATURATION if is_raw(path) else _full_scale(dtype)
-    level = default if encoding.saturation is None else float(encoding.saturation)
-    if level <= 0:
-        raise TileError(f"{path}: saturation is {level:g}; give a level above 0, in the file's numbers")
-    return level
+    return default if encoding.saturation is None else float(encoding.saturation)
 
 
 def _full_scale(dtype: np.dtype[np.generic]) -> float:

@@ -143,7 +143,8 @@ def coloured_albedo(images: Array, shading: Array, weights: Array) -> Array:
         out += share[..., None] * image
         total += np.where(w > 0, share * s, np.float32(0))
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(out / np.where(total > 0, total, np.float32(np.nan))[..., None])
+        albedo: Array = out / np.where(total > 0, total, np.float32(np.nan))[..., None]
+    return albedo
 
 
 def relative_residual(images: Array, shading: Array, found: Solution) -> Array:
@@ -172,4 +173,5 @@ def _shadowed(band: Band) -> Array:
 
 
 def _count(flags: Array) -> Array:
-    return np.minimum(np.count_nonzero(flags, axis=0), 255).astype(np.uint8)
+    count: Array = np.minimum(np.count_nonzero(flags, axis=0), 255).astype(np.uint8)
+    return count

@@ -72,6 +72,19 @@ def _scattered(random: Generator, size: tuple[float, float], count: int) -> Arra
     return random.uniform(-0.5, 0.5, (count, 2)) * size
 
 
+PIGMENTS = np.array(
+    [
+        [0.80, 0.76, 0.66],  # lead white, aged
+        [0.68, 0.50, 0.24],  # yellow ochre
+        [0.56, 0.26, 0.18],  # red earth
+        [0.26, 0.38, 0.54],  # azurite
+        [0.38, 0.45, 0.28],  # green earth
+        [0.30, 0.24, 0.19],  # umber
+    ]
+)
+"""Albedo of a painter's pigments, lightened with white as on a palette; linear red, green, blue."""
+
+
 def flat_card(size: tuple[float, float], finest: float, random: Generator) -> Scene:
     """A matt grey card, albedo 0.7, in the plane z = 0."""
     return Scene(plane(), lambda x, y: np.full((*np.shape(x), 3), 0.7))
@@ -106,7 +119,7 @@ def drawing(size: tuple[float, float], finest: float, random: Generator) -> Scen
 
 
 def painting(size: tuple[float, float], finest: float, random: Generator) -> Scene:
-    """Colourful patches with brush strokes up to 0.2 mm high, on a canvas bowed by 0.8 mm.
+    """Patches of pigments with brush strokes up to 0.2 mm high, on a canvas bowed by 0.8 mm.
 
     Parameters
     ----------
@@ -124,11 +137,14 @@ def painting(size: tuple[float, float], finest: float, random: Generator) -> Sce
         length = width * random.uniform(2, 5)
         parts.append(Stroke(x, y, length, width, random.normal(60, 40), height))
     brush = strokes(parts)
-    hues = [_waves(random, 5, 0.8, (0.1 * size[0], 0.5 * size[0])) for _ in range(3)]
+    fields = [_waves(random, 5, 1.0, (0.1 * size[0], 0.5 * size[0])) for _ in PIGMENTS]
 
     def albedo(x: Array, y: Array) -> Array:
-        colour = np.stack([0.4 + 0.32 * np.tanh(hue.height(x, y)) for hue in hues], axis=-1)
-        return np.asarray(colour * (1 - 0.3 * np.tanh(8 * brush.height(x, y)))[..., None])
+        # Where a pigment's field is highest it prevails; between them they mix.
+        shares = np.exp(np.stack([2.5 * field.height(x, y) for field in fields], axis=-1))
+        shares /= shares.sum(axis=-1, keepdims=True)
+        worn = 1 - 0.3 * np.tanh(8 * brush.height(x, y))
+        return np.asarray(shares @ PIGMENTS * worn[..., None])
 
     return Scene(brush + bow(0.8, *size), albedo)
 

@@ -30,8 +30,9 @@ class ChromeSphere(LightModel):
     """Distant lamps, each in the direction that its highlight on chrome spheres tells.
 
     PSBox's method [1]_ without its clicking: the circle is found in the photographs (best in one
-    in even light, ``outline``) unless the capture states it.  The directions of several spheres are averaged.  Known errors are 2 to 3
-    degrees, and the whole field gets one direction: a baseline for measured positions.
+    in even light, ``outline``) unless the capture states it.  The directions of several spheres
+    are averaged.  Known errors are 2 to 3 degrees, and the whole field gets one direction: a
+    baseline for measured positions.
 
     References
     ----------

@@ -56,7 +56,8 @@ def test_diligent_by_plain_least_squares_gives_the_known_error(tmp_path, thing, 
     folder = digitise(
         tmp_path,
         f'artwork: {{id: {thing}}}\nframes: "{source}/{{n:03d}}.png"\nmask: {source}/mask.png\n'
-        f"lights:\n  directions: {source}/light_directions.txt\n  intensities: {source}/light_intensities.txt\n"
+        f"lights:\n  directions: {source}/light_directions.txt\n"
+        f"  intensities: {source}/light_intensities.txt\n"
         "encoding: {saturation: none}\n",
         PLAIN.format(model="given-directions", refine="false"),
     )
