@@ -130,12 +130,18 @@ def light_geometry(lights: Mapping[str, Any], grid: PixelGrid) -> str:
 
 
 def _label_lamps(axes: Axes, names: Sequence[str], places: Array, notes: Sequence[str]) -> None:
-    """Mark every lamp; its name stands on the side away from the centre. Many lamps: dots only."""
+    """Mark every lamp with its name, off the line to the centre.  Many lamps: dots only."""
     axes.plot(places[:, 0], places[:, 1], "o", color="#e0a526", markeredgecolor=ACCENT, markersize=9)
     if len(names) > 24:
         return
-    for name, place, note in zip(names, places, notes, strict=True):
+    radius = np.hypot(places[:, 0], places[:, 1])
+    for name, place, note, inner in zip(names, places, notes, radius < np.median(radius), strict=True):
         left, below = place[0] < 0, place[1] < 0
+        # Lamps often stand in pairs, one behind the other: the two names go to different sides.
+        if abs(place[0]) >= abs(place[1]):
+            below = inner
+        else:
+            left = inner
         axes.annotate(
             f"{name}\n{note}",
             (place[0], place[1]),
