@@ -34,7 +34,11 @@ def heights(found: dict[str, Array], width_mm: float) -> Figure:
         reach = (-width_mm / 2, width_mm / 2, -0.375 * width_mm, 0.375 * width_mm)
         low, high = np.nanpercentile(height, [0.5, 99.5])
         picture = axes.imshow(height, extent=reach, vmin=low, vmax=high, cmap="viridis")
-        axes.set(title=f"{name}: {np.ptp(height):.1f} mm from lowest to highest", xlabel="mm", ylabel="mm")
+        axes.set(
+            title=f"{name}: {np.nanmax(height) - np.nanmin(height):.1f} mm from lowest to highest",
+            xlabel="mm",
+            ylabel="mm",
+        )
         figure.colorbar(picture, ax=axes, label="height in mm", shrink=0.85)
     return figure
 

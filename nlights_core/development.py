@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -128,6 +129,28 @@ class Exposure:
             )
 
 
+class Raw(NamedTuple):
+    """A band of rows as it was read.
+
+    Attributes
+    ----------
+    start, stop : int
+        The rows.
+    images : (L, h, w, C) float32
+        Linear, dark subtracted, divided by the lamps' power.
+    saturated : (L, h, w) bool
+        Where any channel is at the saturation level.
+    inside : (h, w) bool
+        The mask.
+    """
+
+    start: int
+    stop: int
+    images: Array
+    saturated: Array
+    inside: Array
+
+
 @dataclass
 class Band:
     """A band of rows, ready for a normal solver.
@@ -174,17 +197,8 @@ class Darkroom:
     exposures: dict[str, Exposure] = field(default_factory=dict)
     _views: list[Array] = field(default_factory=list)
 
-    def raw(self, start: int, stop: int, lights: LightField) -> tuple[Array, Array, Array]:
-        """Read a band of every photograph.
-
-        Returns
-        -------
-        images : (L, h, w, C) float32
-            Linear, dark subtracted, divided by the lamps' power.
-        saturated : (L, h, w) bool
-        inside : (h, w) bool
-            The mask.
-        """
+    def raw(self, start: int, stop: int, lights: LightField) -> Raw:
+        """Read a band of every photograph."""
         shape = (stop - start, self.grid.columns)
         inside = np.ones(shape, bool)
         if self.mask is not None:
@@ -204,7 +218,7 @@ class Darkroom:
         step = max(1, self.grid.columns // VIEW_COLUMNS)
         self._views.append(images[:, -start % step :: step, ::step].copy())
         images /= lights.power.astype(np.float32)[:, None, None, :]
-        return images, saturated, inside
+        return Raw(start, stop, images, saturated, inside)
 
     def views(self) -> Array:
         """Small views of the photographs read so far, (L, h, w, C) float32: for people to look at."""
@@ -228,20 +242,37 @@ class Darkroom:
             When a photograph is black or saturated throughout, or cannot be read.
         """
         for start, stop in bands(self.grid, len(self.photographs) * (self.info.channels * 4 + 24)):
-            images, saturated, inside = self.raw(start, stop, lights)
-            z = None if height is None else np.asarray(height[start:stop])
-            points = self.grid.points(start, stop, z)
-            weights = np.where(saturated | ~inside, np.float32(0), np.float32(1))
-            vectors = lights.vectors(points)
-            ambient = None
-            if lights.ambient.any():
-                ambient = np.broadcast_to(
-                    lights.ambient.astype(np.float32)[:, None, None], images.shape[:3]
-                ).copy()
-            if plate is not None:
-                vectors, ambient = _relative(images, weights, vectors, ambient, lights, plate, points)
-            yield Band(start, stop, images, weights, saturated & inside, vectors, ambient)
+            raw = self.raw(start, stop, lights)
+            yield self.develop(raw, lights, plate, None if height is None else height[start:stop])
         self.check()
+
+    def develop(
+        self, raw: Raw, lights: LightField, plate: Plate | None, height: Array | None = None
+    ) -> Band:
+        """Make a band ready for a solver; ``raw`` may be developed again at another height.
+
+        Parameters
+        ----------
+        raw : Raw
+            What `raw` read.
+        lights, plate : LightField, Plate or None
+            See `bands`.
+        height : (h, w) array, optional
+            Height of these rows, mm.
+        """
+        points = self.grid.points(raw.start, raw.stop, height)
+        weights = np.where(raw.saturated | ~raw.inside, np.float32(0), np.float32(1))
+        vectors = lights.vectors(points)
+        images, ambient = raw.images, None
+        if lights.ambient.any():
+            ambient = np.broadcast_to(
+                lights.ambient.astype(np.float32)[:, None, None], images.shape[:3]
+            ).copy()
+        if plate is not None:
+            images = images.copy()
+            vectors, ambient = _relative(images, weights, vectors, ambient, lights, plate, points)
+        saturated = raw.saturated & raw.inside
+        return Band(raw.start, raw.stop, images, weights, saturated, vectors, ambient)
 
     def check(self) -> None:
         """Refuse a photograph that turned out black or saturated throughout."""

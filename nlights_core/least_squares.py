@@ -54,26 +54,36 @@ def fit(images: Array, lights: Array, weights: Array, condition: float) -> Fit:
     -------
     Fit
     """
+    count = np.count_nonzero(weights > 0, axis=0)
+    matrix, right = _normal_equations(images, lights, weights)
+    inverse, smallest, well = _invert(matrix, condition)
+    scaled = multiply(inverse, right)
+    scaled[:, ~(well & (count >= 3))] = np.nan
+    return Fit(scaled, inverse, smallest)
+
+
+def _normal_equations(images: Array, lights: Array, weights: Array) -> tuple[Array, Array]:
+    """Sums of ``w l l^T`` (upper triangles) and of ``w I l`` over the lights, float64."""
     shape = images.shape[1:]
-    matrix = np.zeros((6, *shape))
-    right = np.zeros((3, *shape))
-    count = np.zeros(shape, np.int16)
+    if lights.size == 3 * len(images):
+        # No matrix product: small ones on all cores of a busy machine take a hundred times as long.
+        rays = lights.reshape(-1, 3).T.astype(np.float64)
+        rows, columns = np.triu_indices(3)
+        w = weights.astype(np.float64)
+        values = w * np.where(weights > 0, images, 0)
+        return np.einsum("kl,l...->k...", rays[rows] * rays[columns], w), np.einsum("kl,l...->k...", rays, values)
+    matrix, right = np.zeros((6, *shape)), np.zeros((3, *shape))
     for image, light, weight in zip(images, lights, weights, strict=True):
-        used = weight > 0
-        count += used
         w = weight.astype(np.float64)
         x, y, z = (light[..., k].astype(np.float64) for k in range(3))
-        value = w * np.where(used, image, 0)
+        value = w * np.where(weight > 0, image, 0)
         wx, wy, wz = w * x, w * y, w * z
         for k, term in enumerate((wx * x, wx * y, wx * z, wy * y, wy * z, wz * z)):
             matrix[k] += term
         right[0] += value * x
         right[1] += value * y
         right[2] += value * z
-    inverse, smallest, well = _invert(matrix, condition)
-    scaled = _times(inverse, right)
-    scaled[:, ~(well & (count >= 3))] = np.nan
-    return Fit(scaled, inverse, smallest)
+    return matrix, right
 
 
 def _invert(matrix: Array, condition: float) -> tuple[Array, Array, Array]:
@@ -126,8 +136,8 @@ def eigenvalues(matrix: Array) -> tuple[Array, Array]:
     return mean + 2 * spread * np.cos(angle + 2 * np.pi / 3), mean + 2 * spread * np.cos(angle)
 
 
-def _times(symmetric: Array, vector: Array) -> Array:
-    """Multiply symmetric 3 x 3 matrices (6, ...) with vectors (3, ...)."""
+def multiply(symmetric: Array, vector: Array) -> Array:
+    """Multiply symmetric 3 x 3 matrices (6, ...), upper triangles, with vectors (3, ...)."""
     xx, xy, xz, yy, yz, zz = symmetric
     x, y, z = vector
     return np.stack([xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, xz * x + yz * y + zz * z])
@@ -142,7 +152,7 @@ def residual(image: Array, light: Array, scaled: Array) -> Array:
 def leverage(light: Array, weight: Array, inverse: Array) -> Array:
     """How strongly one sample determines its own prediction, (h, w) float64 in 0..1."""
     direction = np.moveaxis(np.broadcast_to(light, (*inverse.shape[1:], 3)).astype(np.float64), -1, 0)
-    return np.asarray(weight * np.sum(direction * _times(inverse, direction), axis=0))
+    return np.asarray(weight * np.sum(direction * multiply(inverse, direction), axis=0))
 
 
 def solution(images: Array, lights: Array, weights: Array, found: Fit) -> Solution:
@@ -167,16 +177,11 @@ def solution(images: Array, lights: Array, weights: Array, found: Fit) -> Soluti
     albedo = np.sqrt(np.sum(found.scaled**2, axis=0))
     known = np.isfinite(albedo) & (albedo > 0) & (found.scaled[2] > 0)
     albedo = np.where(known, albedo, np.nan)
-    squares = np.zeros(albedo.shape)
-    count = np.zeros(albedo.shape)
-    total = np.zeros(albedo.shape)
-    for image, light, weight in zip(images, lights, weights, strict=True):
-        used = weight > 0
-        missed = np.where(used, residual(image, light, found.scaled), 0.0)
-        squares += weight * missed**2
-        total += weight
-        count += used
-    mean_weight = total / np.maximum(count, 1)
+    used = weights > 0
+    count = np.count_nonzero(used, axis=0)
+    missed = np.where(used, images - np.einsum("...k,k...->...", lights, found.scaled), 0.0)
+    squares = np.einsum("l...,l...,l...->...", weights, missed, missed)
+    mean_weight = np.sum(weights, axis=0, dtype=np.float64) / np.maximum(count, 1)
     prior = mean_weight * (PRIOR_NOISE * albedo) ** 2
     variance = (squares + prior) / np.maximum(count - 2, 1)
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -117,12 +117,12 @@ def _refined(tile: Tile, field: LightField, prior: float, scratch: Path) -> Ligh
         every = max(1, int(np.sqrt(room.grid.rows * room.grid.columns / (8 * SAMPLES))))
         images, vectors = [], []
         for start, stop in bands(room.grid, len(field.lamps) * 36):
-            band, saturated, inside = room.raw(start, stop, field)
-            usable = inside & ~saturated.any(axis=0)
+            raw = room.raw(start, stop, field)
+            usable = raw.inside & ~raw.saturated.any(axis=0)
             rows, columns = np.nonzero(usable[::every, ::every])
             points = room.grid.points(start, stop)
             light = np.broadcast_to(field.vectors(points), (len(field.lamps), *usable.shape, 3))
-            images.append(grey(band)[:, rows * every, columns * every])
+            images.append(grey(raw.images)[:, rows * every, columns * every])
             vectors.append(light[:, rows * every, columns * every])
         room.check()
     samples, light = np.concatenate(images, axis=1), np.concatenate(vectors, axis=1)
@@ -172,8 +172,9 @@ def _block_means(room: Darkroom, field: LightField, block: int, progress: Progre
     rows, columns = room.grid.rows // block, room.grid.columns // block
     out = np.empty((len(room.photographs), rows, columns, room.info.channels), np.float32)
     for start, stop in bands(PixelGrid(rows, columns, 1.0), out[..., 0, 0, :].nbytes * block**2 * 3):
-        images, saturated, _ = room.raw(start * block, stop * block, field)
-        images[saturated] = np.nan
+        raw = room.raw(start * block, stop * block, field)
+        images = raw.images
+        images[raw.saturated] = np.nan
         shape = (len(images), stop - start, block, columns, block, images.shape[-1])
         out[:, start:stop] = images[:, :, : columns * block].reshape(shape).mean(axis=(2, 4))
         progress(stop / rows)

@@ -12,6 +12,7 @@ import numpy as np
 import tifffile
 
 from nlights_core.capture import Tile
+from nlights_core.configurations import load_stand
 from nlights_core.errors import NlightsError
 from nlights_core.frames import Array
 from nlights_core.stands import Stand
@@ -22,6 +23,10 @@ AXES = ("x", "y", "z", "-x", "-y", "-z")
 
 SHARES = (0.125, 0.25, 0.5, 1.0)
 """How much of the way to another stand is tried."""
+
+FARTHEST_MM = 100.0
+"""Stands whose lamps are farther apart in the mean are different stands, or number their lamps
+differently; the paper's largest displacement is 19 mm (Table 20)."""
 
 COUNT = 10
 """Errors in a range that does not say how many."""
@@ -95,7 +100,8 @@ def parse_errors(text: str, option: str = "--errors") -> tuple[float, ...]:
     parts = [part.strip() for part in text.split(",")]
     if not all(re.fullmatch(_NUMBER, part) and 0 < float(part) < np.inf for part in parts):
         raise NlightsError(
-            f"{option}: '{text}' is neither a range (0.1..100, 0.1..100:13) nor a list (0.5,1,5) of sizes above 0"
+            f"{option}: '{text}' is neither a range (0.1..100, 0.1..100:13) nor a list (0.5,1,5) of "
+            "sizes above 0"
         )
     return tuple(sorted({float(part) for part in parts}))
 
@@ -123,7 +129,7 @@ def along_axis(errors: Sequence[float], axis: str) -> Sweep:
     def disturb(tile: Tile, error: float, draw: int, folder: Path) -> Tile:
         return _displaced(tile, np.tile(error * direction, (len(tile.lamps), 1)))
 
-    return Sweep(f"position of all lamps along {axis}", "mm", tuple(errors), disturb)
+    return Sweep(f"displacement of all lamps along {axis}", "mm", tuple(errors), disturb)
 
 
 def at_random(errors: Sequence[float], draws: int, seed: int) -> Sweep:
@@ -141,7 +147,7 @@ def at_random(errors: Sequence[float], draws: int, seed: int) -> Sweep:
         pattern = np.random.default_rng([seed, draw]).standard_normal((len(tile.lamps), 3))
         return _displaced(tile, error * pattern)
 
-    what = "position of each lamp, standard deviation per axis"
+    what = "random displacement of each lamp, standard deviation per axis"
     return Sweep(what, "mm", tuple(errors), disturb, draws)
 
 
@@ -162,7 +168,8 @@ def towards(stand: Stand, other: Stand) -> Sweep:
     Raises
     ------
     NlightsError
-        When the stands differ in their lamps' names or their fields, or in nothing.
+        When the stands differ in their lamps' names or their fields, in nothing, or by more than
+        `FARTHEST_MM`.
     """
     if set(stand.lamps) != set(other.lamps) or stand.field_mm != other.field_mm:
         raise NlightsError(
@@ -174,6 +181,11 @@ def towards(stand: Stand, other: Stand) -> Sweep:
     whole = float(np.linalg.norm(shift, axis=1).mean())
     if whole == 0:
         raise NlightsError(f"--against: the lamps of '{other.name}' are where those of '{stand.name}' are")
+    if whole > FARTHEST_MM:
+        raise NlightsError(
+            f"--against: the lamps of '{other.name}' are {whole:.0f} mm from those of '{stand.name}' in the "
+            "mean; give a second measurement of the same stand, with the same names of the lamps"
+        )
     camera = other.camera_position - stand.camera_position
 
     def disturb(tile: Tile, error: float, draw: int, folder: Path) -> Tile:
@@ -181,7 +193,7 @@ def towards(stand: Stand, other: Stand) -> Sweep:
         order = [names.index(lamp) for lamp in tile.lamps]
         return _displaced(tile, share * shift[order], share * camera)
 
-    what = f"mean distance of the lamps on the way to {other.name}"
+    what = f"mean displacement of the lamps towards {other.name}"
     return Sweep(what, "mm", tuple(share * whole for share in SHARES), disturb)
 
 
@@ -218,8 +230,51 @@ def of_strength(errors: Sequence[float], draws: int, seed: int) -> Sweep:
             tifffile.imwrite(frames[lamp], numbers.astype(np.uint16), photometric="rgb")
         return tile.model_copy(update={"frames": frames})
 
-    what = "strength of each lamp, standard deviation"
+    what = "random change of each lamp's strength, standard deviation"
     return Sweep(what, "%", tuple(100 * error for error in errors), disturb, draws)
+
+
+def chosen(
+    stand: str,
+    axis: str | None,
+    errors: str | None,
+    random: bool,
+    strength: str | None,
+    against: str | None,
+    draws: int,
+    seed: int,
+) -> Sweep:
+    """The sweep that the options of the command line ask for.
+
+    Parameters
+    ----------
+    stand, against : str, str or None
+        Names or files of stands.
+    axis, errors, strength : str or None
+        As typed.
+    random : bool
+        Chance instead of an axis.
+    draws, seed : int
+        For chance.
+
+    Raises
+    ------
+    NlightsError
+        When an option is out of range, or two options contradict each other.
+    """
+    given = {"--axis": axis, "--random": random, "--strength": strength, "--against": against}
+    kinds = [name for name, value in given.items() if value]
+    if len(kinds) > 1:
+        raise NlightsError(f"{' and '.join(kinds)}: each is a study of its own; give one of them")
+    if errors and (strength or against):
+        raise NlightsError(f"--errors: {kinds[0]} says itself how large its errors are; leave --errors out")
+    measured = load_stand(stand)
+    if against:
+        return towards(measured, load_stand(against))
+    if strength:
+        return of_strength(parse_errors(strength, "--strength"), draws, seed)
+    sizes = parse_errors(errors or "0.1..100")
+    return at_random(sizes, draws, seed) if random else along_axis(sizes, axis or "z")
 
 
 def _displaced(tile: Tile, shift: Array, camera: Array | None = None) -> Tile:

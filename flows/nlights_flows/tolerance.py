@@ -59,7 +59,7 @@ class Measurement:
     error : float
         In the sweep's unit; 0 for the right lamps.
     draw : int
-        Which draw of chance, from 0.
+        Which draw of chance, from 0; of a summary by `worst`, how many there were.
     angle : Spread
         Angle between the normals and the true ones, degrees.
     distance : Spread
@@ -221,7 +221,7 @@ def largest_within(errors: Sequence[float], values: Sequence[float], limit: floa
         if not value <= limit:
             if i == 0:
                 return None
-            before = values[i - 1]
+            before = max(values[i - 1], np.finfo(float).tiny)  # tiny errors may add nothing at all
             if not np.isfinite(value):
                 return float(errors[i - 1])
             share = np.log(limit / before) / np.log(value / before)
@@ -268,28 +268,35 @@ def study(
         manifest = simulate(folder / "capture", load_stand(stand), scene=scene, width=width, seed=seed)
         (tile,) = load_capture(manifest, stand=stand)
         assert tile.stand is not None
-        truth = manifest.parent / "truth"
-        highest = max(0.0, float(tifffile.imread(truth / "height.tif").max()))
-        recipes = compared_recipes(recipe)
-        right = {name: _deviations(tile, chosen, truth, scene) for name, chosen in recipes.items()}
-        found = [_measurement(name, 0.0, 0, one, one) for name, one in right.items()]
-        cases = [(error, draw) for error in sweep.errors for draw in range(sweep.draws)]
-        notes = []
-        for done, (error, draw) in enumerate(cases, start=1):
-            with TemporaryDirectory(dir=folder) as own:
-                wrong = sweep.disturb(tile, error, draw, Path(own))
-                sunk = _sunk(wrong, highest)
-                if sunk:
-                    which = f"{error:.4g} {sweep.unit}" + (f", draw {draw + 1}" if sweep.draws > 1 else "")
-                    notes.append(f"{which}: passed over, because {sunk}")
-                    continue
-                for name, chosen in recipes.items():
-                    one = _deviations(wrong, chosen, truth, scene)
-                    found.append(_measurement(name, error, draw, one, right[name]))
-            progress(done / len(cases))
-    if len(notes) == len(cases):
+        found, notes = _swept(tile, sweep, recipe, scene, manifest.parent / "truth", progress)
+    if not any(one.error for one in found):
         raise NlightsError(f"no size of error is possible; {notes[0]}; try smaller ones")
     return Study(tile.stand.name, scene, sweep.what, sweep.unit, sweep.draws, found, notes)
+
+
+def _swept(
+    tile: Tile, sweep: Sweep, recipe: Recipe, scene: str, truth: Path, progress: Callable[[float], None]
+) -> tuple[list[Measurement], list[str]]:
+    """The measurements of a study, and a note on every error that was passed over."""
+    highest = max(0.0, float(tifffile.imread(truth / "height.tif").max()))
+    recipes = compared_recipes(recipe)
+    right = {name: _deviations(tile, chosen, truth, scene) for name, chosen in recipes.items()}
+    found = [_measurement(name, 0.0, 0, one, one) for name, one in right.items()]
+    notes: list[str] = []
+    cases = [(error, draw) for error in sweep.errors for draw in range(sweep.draws)]
+    for done, (error, draw) in enumerate(cases, start=1):
+        with TemporaryDirectory(dir=truth.parent) as own:
+            wrong = sweep.disturb(tile, error, draw, Path(own))
+            sunk = _sunk(wrong, highest)
+            if sunk:
+                which = f"{error:.4g} {sweep.unit}" + (f", draw {draw + 1}" if sweep.draws > 1 else "")
+                notes.append(f"{which}: passed over, because {sunk}")
+                continue
+            for name, chosen in recipes.items():
+                one = _deviations(wrong, chosen, truth, scene)
+                found.append(_measurement(name, error, draw, one, right[name]))
+        progress(done / len(cases))
+    return found, notes
 
 
 def _sunk(tile: Tile, highest: float) -> str:
@@ -332,3 +339,32 @@ def _measurement(name: str, error: float, draw: int, found: _Deviations, right: 
         spread(angles_between(found.normals, right.normals)),
         spread(found.distances - right.distances),
     )
+
+
+def worst(study: Study, recipe: str) -> list[Measurement]:
+    """Of every error, the worst of its draws in each figure.
+
+    Parameters
+    ----------
+    study : Study
+        With any number of draws.
+    recipe : str
+        `WITHOUT` or `WITH`.
+
+    Returns
+    -------
+    list of Measurement
+        One per error, ascending; the right lamps, with error 0, first.
+    """
+
+    def most(spreads: list[Spread]) -> Spread:
+        return Spread(*(max(getattr(s, f) for s in spreads) for f in ("mean", "std", "greatest")))
+
+    mine = [one for one in study.measurements if one.recipe == recipe]
+    out = []
+    for error in sorted({one.error for one in mine}):
+        draws = [one for one in mine if one.error == error]
+        names = ("angle", "distance", "added_angle", "added_distance")
+        figures = {name: most([getattr(one, name) for one in draws]) for name in names}
+        out.append(Measurement(recipe, error, len(draws), **figures))
+    return out

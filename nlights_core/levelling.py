@@ -1,0 +1,248 @@
+"""The free constant of a height, found in the photographs themselves.
+
+Integration leaves the constant free.  It matters: near lamps light a surface 1 mm higher from
+another angle, and its plate is read elsewhere, which bends a relief by some 0.05 mm.  It can
+be seen, too: raised by dz, a point is lit along rays that meet the plane somewhere else, where
+each lamp's plate is brighter or darker by an amount that is known.  Eight lamps leave five
+equations over, so the right constant is the one at which the photographs agree best.
+
+A lamp that has drifted since the flats were taken would be mistaken for height, so a factor
+per lamp is fitted along (and bound to 1 by a prior).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from nlights_core import least_squares
+from nlights_core.development import Darkroom, Raw
+from nlights_core.fields import LightField
+from nlights_core.frames import Array
+from nlights_core.images import grey
+from nlights_core.plates import Plate
+
+PIXELS = 50_000
+"""About how many pixels are looked at."""
+
+INDEPENDENT = 1000
+"""As how many independent pixels they count: what is wrong with the plate is wrong for all neighbours
+at once, so a million pixels know little more than a thousand."""
+
+STRENGTH_PRIOR = 0.01
+"""Standard deviation of a lamp's drift since the flats were taken."""
+
+HEIGHT_PRIOR = 10.0
+"""Standard deviation of the surface's level about the plane of the flat, mm."""
+
+ROUNDS = 4
+REWEIGHTINGS = 5
+TUNING = 2.385
+"""Cauchy's loss with this times the spread keeps 95 % of the efficiency of least squares on clean data."""
+
+STEP = 0.05
+SHADOW = 0.05
+CONDITION = 100.0
+
+
+@dataclass(frozen=True)
+class Level:
+    """What was found.
+
+    Attributes
+    ----------
+    offset : float
+        To be added to the height, mm.
+    uncertainty : float
+        Its standard deviation, mm, as far as the fit can tell.
+    strengths : (L,) float64 array
+        Each lamp's strength in the frames against the flats.
+    """
+
+    offset: float
+    uncertainty: float
+    strengths: Array
+
+
+def level(room: Darkroom, lights: LightField, plate: Plate, height: Array) -> Level:
+    """Find the constant at which the photographs agree best.
+
+    Parameters
+    ----------
+    room : Darkroom
+        The open photographs of a tile.
+    lights : LightField
+        Near lamps.
+    plate : Plate
+        What a flat plate reads.
+    height : (H, W) array
+        Height up to a constant, mm.
+
+    Returns
+    -------
+    Level
+
+    Notes
+    -----
+    Gauss-Newton on the offset and the lamps' factors; normals and albedo are eliminated in every
+    pixel (the residual is projected off what a change of normal could explain).  Samples that
+    disagree by much more than is usual count less and less (Cauchy's loss): gloss and shadows
+    must not be taken for height.
+    """
+    rows = _sample_rows(room)
+    raws = [room.raw(start, stop, lights) for start, stop in rows]
+    heights = [np.asarray(height[raw.start : raw.stop]) for raw in raws]
+    count = len(lights.lamps)
+    offset, logarithms = 0.0, np.zeros(count)
+    prior = np.diag([HEIGHT_PRIOR**-2, *[STRENGTH_PRIOR**-2] * count])
+    lowest = float(np.min(lights.positions[:, 2])) if lights.positions is not None else np.inf
+    reach = lowest / 4
+    information = prior
+    for _ in range(ROUNDS):
+        matrix, right, pixels = _equations(room, lights, plate, raws, heights, offset, logarithms)
+        if pixels < INDEPENDENT:
+            return Level(0.0, HEIGHT_PRIOR, np.ones(count))
+        share = min(1.0, INDEPENDENT / pixels)
+        information = share * matrix + prior
+        state = np.array([offset, *logarithms])
+        change = np.linalg.solve(information, share * right - prior @ state)
+        offset = float(np.clip(offset + change[0], -reach, reach))
+        logarithms = np.clip(logarithms + change[1:], -0.2, 0.2)
+    uncertainty = float(np.sqrt(np.linalg.inv(information)[0, 0]))
+    return Level(offset, uncertainty, np.exp(logarithms))
+
+
+def _sample_rows(room: Darkroom) -> list[tuple[int, int]]:
+    """Rows spread over the whole height of the tile."""
+    rows, columns = room.grid.shape
+    wanted = int(np.clip(PIXELS // columns, min(rows, 24), rows))
+    thickness = max(1, wanted // 48)
+    starts = np.linspace(0, rows - thickness, max(1, wanted // thickness)).round().astype(int)
+    return [(int(start), int(start) + thickness) for start in dict.fromkeys(starts)]
+
+
+def _equations(
+    room: Darkroom,
+    lights: LightField,
+    plate: Plate,
+    raws: Sequence[Raw],
+    heights: Sequence[Array],
+    offset: float,
+    logarithms: Array,
+) -> tuple[Array, Array, int]:
+    """Normal equations of offset and strengths, in units of the residuals' variance."""
+    parts = [
+        _linearised(room, lights, plate, raw, z, offset, logarithms)
+        for raw, z in zip(raws, heights, strict=True)
+    ]
+    size = len(lights.lamps) + 1
+    matrix, right, pixels = np.zeros((size, size)), np.zeros(size), 0
+    settled, scale = parts, 1.0
+    for _ in range(REWEIGHTINGS):
+        # One scale for all: the residuals' spread relative to what shot noise lets expect.
+        surprise = np.concatenate([part.surprise.ravel() for part in settled])
+        surprise = surprise[np.isfinite(surprise)]
+        if not surprise.size:
+            return matrix, right, 0
+        scale = max(float(np.median(surprise)) / 0.6745, 1e-9)
+        settled = [
+            first.with_weights(first.weights / (1 + (np.nan_to_num(part.surprise) / (TUNING * scale)) ** 2))
+            for first, part in zip(parts, settled, strict=True)
+        ]
+    for part in settled:
+        one, two, many = part.sums(scale)
+        matrix, right, pixels = matrix + one, right + two, pixels + many
+    return matrix, right, pixels
+
+
+@dataclass(frozen=True)
+class _Linearised:
+    """A band linearised about the present offset and strengths; arrays (L, h, w)."""
+
+    images: Array
+    lights: Array
+    weights: Array
+    by_offset: Array
+    surprise: Array
+    found: least_squares.Fit
+    albedo: Array
+
+    def with_weights(self, weights: Array) -> _Linearised:
+        """Solve again with other weights."""
+        return _solved(self.images, self.lights, weights, self.by_offset)
+
+    def sums(self, scale: float) -> tuple[Array, Array, int]:
+        """This band's share of the normal equations."""
+        known = np.isfinite(self.albedo)
+        count = len(self.images)
+        weights = np.where(known, self.weights / (scale**2 * self.albedo), 0)
+        inverse, lights = self.found.inverse, self.lights.astype(np.float64)
+        residual = np.nan_to_num(_residuals(self.images, lights, self.found.scaled))
+        shown = np.nan_to_num(self.images - residual)
+        across = _off_normals(self.by_offset, lights, self.weights, inverse)
+        across = np.where(known, np.nan_to_num(across), 0)
+        matrix, right = np.zeros((count + 1, count + 1)), np.zeros(count + 1)
+        matrix[0, 0] = np.sum(weights * self.by_offset * across)
+        right[0] = -np.sum(weights * across * residual)
+        turned = [least_squares.multiply(inverse, np.moveaxis(light, -1, 0)) for light in lights]
+        for k in range(count):
+            matrix[0, k + 1] = matrix[k + 1, 0] = -np.sum(weights[k] * across[k] * shown[k])
+            right[k + 1] = np.sum(weights[k] * shown[k] * residual[k])
+            for m in range(k, count):
+                shared = np.sum(np.moveaxis(lights[k], -1, 0) * turned[m], axis=0) * self.weights[m]
+                off = (k == m) - np.where(known, shared, 0)
+                value = np.sum(weights[k] * shown[k] * off * shown[m])
+                matrix[k + 1, m + 1] = matrix[m + 1, k + 1] = value
+        return matrix, right, int(np.count_nonzero(known))
+
+
+def _linearised(
+    room: Darkroom,
+    lights: LightField,
+    plate: Plate,
+    raw: Raw,
+    height: Array,
+    offset: float,
+    logarithms: Array,
+) -> _Linearised:
+    """Develop a band at an offset and a little above, and solve it."""
+    factors = np.exp(-logarithms).astype(np.float32)[:, None, None]
+
+    def developed(z: float) -> tuple[Array, Array, Array]:
+        band = room.develop(raw, lights, plate, height + np.float32(z))
+        weights = np.where(np.isfinite(height), band.weights, 0)
+        images = (grey(band.images) * factors).astype(np.float64)
+        shape = (*images.shape, 3)
+        return images, np.broadcast_to(band.lights, shape), weights
+
+    images, light, weights = developed(offset)
+    above, light_above, _ = developed(offset + STEP)
+    usable = least_squares.lit(images, weights, SHADOW).astype(np.float64)
+    found = least_squares.fit(images, light, usable, CONDITION)
+    now = _residuals(images, light, found.scaled)
+    then = _residuals(above, light_above, found.scaled)
+    return _solved(images, light, usable, (then - now) / STEP)
+
+
+def _solved(images: Array, lights: Array, weights: Array, by_offset: Array) -> _Linearised:
+    found = least_squares.fit(images, lights, weights, CONDITION)
+    albedo = np.sqrt(np.sum(found.scaled**2, axis=0))
+    residual = _residuals(images, lights, found.scaled)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        surprise = np.where(weights > 0, np.abs(residual) * np.sqrt(weights / albedo), np.nan)
+    return _Linearised(images, lights, weights, by_offset, surprise, found, albedo)
+
+
+def _residuals(images: Array, lights: Array, scaled: Array) -> Array:
+    return np.stack(
+        [least_squares.residual(image, light, scaled) for image, light in zip(images, lights, strict=True)]
+    )
+
+
+def _off_normals(values: Array, lights: Array, weights: Array, inverse: Array) -> Array:
+    """What of some values in every pixel no change of its normal could explain, (L, h, w)."""
+    right = np.einsum("lhw,lhwk->khw", np.where(weights > 0, weights * values, 0), lights)
+    scaled = least_squares.multiply(inverse, right)
+    return _residuals(values, lights, scaled)

@@ -1,0 +1,53 @@
+"""The `median-of-triplets` normal solver: what most triplets of lights agree on."""
+
+from typing import ClassVar
+
+import numpy as np
+
+from pydantic import Field
+
+from nlights_core import least_squares, robust_fitting
+from nlights_core.algorithms import NormalSolver, Solution
+from nlights_core.frames import Array
+
+
+class MedianOfTriplets(NormalSolver):
+    """Weighted median of the solutions of all triplets of usable lights.
+
+    Three lights determine a normal; Coleman and Jain (1982) compared the four triplets of four
+    lights to find a highlight.  With more lights the median over the triplets does it; the
+    weights are those with which their mean would be least squares.
+    """
+
+    name: ClassVar[str] = "median-of-triplets"
+
+    most: int = Field(
+        default=120,
+        ge=1,
+        le=5000,
+        description="how many triplets are solved at most: all those of 10 lights; of more lights "
+        "a fixed random choice",
+    )
+    shadow: float = Field(
+        default=0.02,
+        ge=0,
+        lt=1,
+        description="samples below this share of the pixel's brightest are shadow; 0: none are",
+    )
+    condition: float = Field(
+        default=100.0,
+        gt=1,
+        description="largest allowed ratio of the singular values of the usable lights",
+    )
+
+    def solve(self, images: Array, lights: Array, weights: Array) -> Solution:
+        return robust_fitting.in_blocks(self._solved, images, lights, weights)
+
+    def _solved(self, images: Array, lights: Array, weights: Array) -> Solution:
+        usable = least_squares.lit(images, weights, self.shadow)
+        found = least_squares.fit(images, lights, usable, self.condition)
+        median = robust_fitting.median_of_triplets(images, lights, usable, self.most)
+        found.scaled[:, np.isnan(median[0])] = np.nan
+        known = np.isfinite(found.scaled[0])
+        found.scaled[:, known] = median[:, known]
+        return least_squares.solution(images, lights, usable, found)

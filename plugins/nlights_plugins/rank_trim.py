@@ -1,0 +1,46 @@
+"""The `rank-trim` normal solver: without the darkest and the brightest lights of each pixel."""
+
+from typing import ClassVar
+
+from pydantic import Field
+
+from nlights_core import least_squares, robust_fitting
+from nlights_core.algorithms import NormalSolver, Solution
+from nlights_core.frames import Array
+
+
+class RankTrim(NormalSolver):
+    """Least squares without the darkest and the brightest share of each pixel's samples.
+
+    The darkest may be shadow, the brightest highlights; both are dropped everywhere, whether
+    they are or not.  Where fewer than three lights would be left, or badly spread ones, none
+    is dropped.
+    """
+
+    name: ClassVar[str] = "rank-trim"
+
+    darkest: float = Field(default=0.2, ge=0, lt=0.5, description="share of the darkest samples to drop")
+    brightest: float = Field(default=0.1, ge=0, lt=0.5, description="share of the brightest samples to drop")
+    shadow: float = Field(
+        default=0.02,
+        ge=0,
+        lt=1,
+        description="samples below this share of the pixel's brightest are shadow; 0: none are",
+    )
+    condition: float = Field(
+        default=100.0,
+        gt=1,
+        description="largest allowed ratio of the singular values of the usable lights",
+    )
+
+    def solve(self, images: Array, lights: Array, weights: Array) -> Solution:
+        return robust_fitting.in_blocks(self._solved, images, lights, weights)
+
+    def _solved(self, images: Array, lights: Array, weights: Array) -> Solution:
+        usable = least_squares.lit(images, weights, self.shadow)
+        fewer = robust_fitting.rank_trimmed(images, usable, self.darkest, self.brightest)
+        kept, found = robust_fitting.known_or(
+            (fewer, least_squares.fit(images, lights, fewer, self.condition)),
+            (usable, least_squares.fit(images, lights, usable, self.condition)),
+        )
+        return least_squares.solution(images, lights, kept, found)
