@@ -246,9 +246,7 @@ class Darkroom:
             yield self.develop(raw, lights, plate, None if height is None else height[start:stop])
         self.check()
 
-    def develop(
-        self, raw: Raw, lights: LightField, plate: Plate | None, height: Array | None = None
-    ) -> Band:
+    def develop(self, raw: Raw, lights: LightField, plate: Plate | None, height: Array | None = None) -> Band:
         """Make a band ready for a solver; ``raw`` may be developed again at another height.
 
         Parameters

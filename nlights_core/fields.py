@@ -6,7 +6,7 @@ vectors, images are fractions of the saturation level.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -82,6 +82,10 @@ class LightField:
             part(self.axes),
             part(self.exponents),
         )
+
+    def stronger(self, factors: Array) -> LightField:
+        """The same lamps, each stronger by a factor (L,)."""
+        return replace(self, power=self.power * np.asarray(factors)[:, None])
 
     def vectors(self, points: Array) -> Array:
         """Direction times irradiance of every lamp at given points, at unit power.

@@ -71,7 +71,9 @@ def _normal_equations(images: Array, lights: Array, weights: Array) -> tuple[Arr
         rows, columns = np.triu_indices(3)
         w = weights.astype(np.float64)
         values = w * np.where(weights > 0, images, 0)
-        return np.einsum("kl,l...->k...", rays[rows] * rays[columns], w), np.einsum("kl,l...->k...", rays, values)
+        return np.einsum("kl,l...->k...", rays[rows] * rays[columns], w), np.einsum(
+            "kl,l...->k...", rays, values
+        )
     matrix, right = np.zeros((6, *shape)), np.zeros((3, *shape))
     for image, light, weight in zip(images, lights, weights, strict=True):
         w = weight.astype(np.float64)

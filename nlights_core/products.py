@@ -18,6 +18,7 @@ from nlights_core.arrays import BandWriter, read_array
 from nlights_core.capture import Tile
 from nlights_core.errors import TileError
 from nlights_core.frames import Array, PixelGrid
+from nlights_core.levelling import read_level
 from nlights_core.plates import read_plate
 from nlights_core.store import RECORD, ArtefactRef, Progress, Store
 
@@ -40,9 +41,11 @@ WHAT = {
 }
 
 
-def open_maps(store: Store, normals: ArtefactRef, height: ArtefactRef) -> dict[str, Array]:
+def open_maps(
+    store: Store, normals: ArtefactRef, height: ArtefactRef, trend: ArtefactRef | None
+) -> dict[str, Array]:
     """Open the maps of a tile as memory maps, by name."""
-    source, surface = store.path(normals), store.path(height)
+    source = store.path(normals)
     names = (
         "normals",
         "albedo",
@@ -55,9 +58,9 @@ def open_maps(store: Store, normals: ArtefactRef, height: ArtefactRef) -> dict[s
         "frames",
     )
     maps = {name: read_array(source / f"{name}.npy") for name in names}
-    maps["height"] = read_array(surface / "height.npy")
-    if (surface / "trend.npy").exists():
-        maps["trend"] = read_array(surface / "trend.npy")
+    maps["height"] = read_array(store.path(height) / "height.npy")
+    if trend is not None:
+        maps["trend"] = read_array(store.path(trend) / "trend.npy")
     return maps
 
 
@@ -186,7 +189,7 @@ def write_report(
     normals, height = refs["normals"], refs["height"]
     assert normals is not None
     assert height is not None
-    maps = open_maps(store, normals, height)
+    maps = open_maps(store, normals, height, refs["trend"])
     for name in ("albedo", "reflection"):
         maps[name] = tifffile.memmap(made["maps"] / f"{name}.tif", mode="r")
     if "plate" in made:
@@ -194,6 +197,8 @@ def write_report(
     if "bias" in made:
         maps["bias"] = read_array(made["bias"] / "bias.npy")
     numbers = quality.measure(maps, grid)
+    if height.stage == "level":
+        numbers += quality.of_level(read_level(store.path(height)))
     provenance = {
         "nlights": __version__,
         "artwork": tile.artwork,

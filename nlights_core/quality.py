@@ -15,6 +15,7 @@ import numpy as np
 from nlights_core.export import bands
 from nlights_core.fields import NormalField
 from nlights_core.frames import Array, PixelGrid
+from nlights_core.levelling import Level
 
 SAMPLE = 2_000_000
 
@@ -384,3 +385,32 @@ def measure(maps: Mapping[str, Array], grid: PixelGrid) -> list[Number]:
         where it could not be measured.
     """
     return [*_lights(maps), *_fit(maps, grid), *_surface(maps, grid), *_removed(maps, grid)]
+
+
+def of_level(level: Level) -> list[Number]:
+    """What the photographs say of the surface's level and of the lamps since the flats were taken."""
+    found = level.uncertainty is not None
+    drift = 100 * (float(np.max(level.strengths)) - float(np.min(level.strengths)))
+    return [
+        Number(
+            "Level",
+            "Level found, against mean 0",
+            level.offset if found else None,
+            "mm",
+            "What was added so that heights are above the plane of the flat reference.",
+        ),
+        Number(
+            "Level",
+            "Uncertainty of the level",
+            level.uncertainty,
+            "mm",
+            "Standard deviation; not measured where gloss hides the level.",
+        ),
+        Number(
+            "Level",
+            "Drift of the lamps since the flats",
+            drift if found else None,
+            "%",
+            "Strongest against weakest; it was corrected. Above 2 %, photograph the flats again.",
+        ),
+    ]

@@ -80,7 +80,10 @@ def in_blocks(
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         list(pool.map(block, range(0, pixels, size)))
     return Solution(
-        normals.reshape(*shape, 3), albedo.reshape(shape), confidence.reshape(shape), used.reshape(images.shape)
+        normals.reshape(*shape, 3),
+        albedo.reshape(shape),
+        confidence.reshape(shape),
+        used.reshape(images.shape),
     )
 
 
@@ -109,8 +112,8 @@ def rank_trimmed(images: Array, weights: Array, darkest: float, brightest: float
     images, weights : (L, n) arrays
         Samples of weight 0 are not usable.
     darkest, brightest : float
-        Shares; the numbers of samples that they mean are rounded.  A sample that equals one
-        that is kept is kept.
+        Of k usable samples those of rank ``floor(darkest k)`` up to, but without,
+        ``floor((1 - brightest) k)`` are kept, and those equal to one of them.
 
     Returns
     -------
@@ -125,8 +128,8 @@ def rank_trimmed(images: Array, weights: Array, darkest: float, brightest: float
     used = weights > 0
     count = np.count_nonzero(used, axis=0)
     ordered = np.sort(np.where(used, images, np.inf), axis=0)
-    first = np.minimum(np.rint(darkest * count), len(images) - 1).astype(np.intp)
-    last = np.maximum(count - 1 - np.rint(brightest * count), 0).astype(np.intp)
+    first = np.floor(darkest * count).astype(np.intp)
+    last = np.maximum(np.floor((1 - brightest) * count).astype(np.intp) - 1, 0)
     lowest = np.take_along_axis(ordered, first[None], axis=0)
     highest = np.take_along_axis(ordered, last[None], axis=0)
     kept = used & (images >= lowest) & (images <= highest)
@@ -221,11 +224,12 @@ def reweighted(
     doubtful &= np.count_nonzero(weights > 0, axis=0) >= FEWEST
     if not doubtful.any():
         return weights, plain
-    chosen = np.nonzero(doubtful)[0]
-    rays = lights if lights.shape[1] == 1 else np.take(lights, chosen, axis=1)
-    values, given, precision = (np.take(a, chosen, axis=1) for a in (values, weights, precision))
-    better = _biweighted(values, rays, given, precision, start[:, chosen])
-    before = Fit(*(np.take(part, chosen, axis=-1) for part in plain))
+    # Where all are, nothing needs to be copied.
+    chosen = slice(None) if doubtful.all() else np.nonzero(doubtful)[0]
+    rays = lights if lights.shape[1] == 1 else lights[:, chosen]
+    values, given = values[:, chosen], weights[:, chosen]
+    better = _biweighted(values, rays, given, precision[:, chosen], start[:, chosen])
+    before = Fit(*(part[..., chosen] for part in plain))
     better, again = known_or((better, fit(values, rays, better, condition)), (given, before))
     out = weights.copy()
     out[:, chosen] = better
@@ -237,21 +241,22 @@ def reweighted(
 def _shown(lights: Array, scaled: Array) -> Array:
     """What a fit predicts of every sample, (L, n) float32."""
     if lights.shape[1] == 1:
-        return np.asarray(lights[:, 0] @ scaled)
+        return np.einsum("lk,kn->ln", lights[:, 0], scaled)
     return np.asarray(np.einsum("lnk,kn->ln", lights, scaled))
 
 
 def _precision(lights: Array, weights: Array, scaled: Array, noise: float) -> Array:
     """Inverse of the standard deviation that each sample is expected to have, (L, n) float32.
 
-    0 for a sample that is not used.  The square of the noise relative to the albedo a is
+    0 for a sample that is not used, or where the albedo is not known.  The square of the noise relative to the albedo a is
     ``noise^2 s / (a w)``, with the shading s and a not below `DIMMEST` and `DARKEST`.
     """
     albedo = np.sqrt(np.sum(scaled**2, axis=0))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        shading = np.maximum(_shown(lights, scaled) / albedo, np.float32(DIMMEST))
-        relative = np.float32(noise) * albedo / np.sqrt(np.maximum(albedo, np.float32(DARKEST)))
-        return np.asarray(np.sqrt(weights / shading) / relative)
+    known = albedo > 0
+    albedo = np.where(known, albedo, np.float32(1))
+    shading = np.maximum(_shown(lights, scaled) / albedo, np.float32(DIMMEST))
+    relative = np.float32(noise) * albedo / np.sqrt(np.maximum(albedo, np.float32(DARKEST)))
+    return np.where(known, np.sqrt(weights / shading) / relative, np.float32(0))
 
 
 def _biweighted(images: Array, lights: Array, weights: Array, precision: Array, start: Array) -> Array:
@@ -294,7 +299,10 @@ def _fitted(images: Array, rays: Array, squares: Array, weights: Array) -> Array
     """A least-squares fit in single precision, good enough to weigh by, (3, m) float32."""
     values = weights * images
     if rays.shape[-1] == 1:
-        matrix, right = squares[..., 0] @ weights, rays[..., 0] @ values
+        matrix, right = (
+            np.einsum("kl,ln->kn", squares[..., 0], weights),
+            np.einsum("kl,ln->kn", rays[..., 0], values),
+        )
     else:
         matrix = np.einsum("kln,ln->kn", squares, weights)
         right = np.einsum("kln,ln->kn", rays, values)

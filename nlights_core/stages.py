@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from nlights_core import products, solving
+from nlights_core import levelling, products, solving
 from nlights_core.algorithms import (
     HeightDetrend,
     ImageDetrend,
@@ -29,6 +29,7 @@ from nlights_core.errors import TileError
 from nlights_core.fields import HeightMap, LightField, NormalField
 from nlights_core.frames import Array, PixelGrid
 from nlights_core.images import Photograph, grey, reduced
+from nlights_core.levelling import Level, read_level, write_level
 from nlights_core.memory import require
 from nlights_core.plates import block_size, continued, read_plate, write_plate
 from nlights_core.store import ArtefactRef, Progress, Store, Work, describe
@@ -224,6 +225,8 @@ def normals(
     def make(folder: Path, progress: Progress) -> None:
         field, flat = read_lights(store, lights), read_plate(store.path(plate)) if plate else None
         before = read_array(store.path(height) / "height.npy") if height else None
+        if height and height.stage == "level":
+            field = field.stronger(read_level(store.path(height)).strengths)
         removed = read_array(store.path(bias) / "bias.npy") if bias else None
         with store.scratch() as scratch, darkroom(tile, scratch) as room:
             solving.solve(room, solver, field, flat, before, folder, progress, removed)
@@ -266,11 +269,41 @@ def trend(store: Store, tile: Tile, detrend: HeightDetrend, height: ArtefactRef)
     return Work(ref, record, make)
 
 
+def level(store: Store, tile: Tile, lights: ArtefactRef, plate: ArtefactRef, height: ArtefactRef) -> Work:
+    """Height above the plane of the flat, ``height.npy``, and what was found, ``level.json``.
+
+    See `nlights_core.levelling`.  For distant lamps there is nothing to find.
+    """
+    facts = _photographed(store, tile, "frames")
+    inputs = {"lights": lights, "plate": plate, "height": height}
+    ref, record = describe("level", tile.artwork, tile.name, inputs=inputs, facts=facts)
+
+    def make(folder: Path, progress: Progress) -> None:
+        field, flat = read_lights(store, lights), read_plate(store.path(plate))
+        before = read_array(store.path(height) / "height.npy")
+        found = Level(0.0, None, np.ones(len(field.lamps)))
+        with store.scratch() as scratch, darkroom(tile, scratch) as room:
+            grid = room.grid
+            if field.near and grid.unit == "mm":
+                found = levelling.level(room, field, flat, before)
+        write_level(folder, found)
+        with BandWriter(folder / "height.npy", before.shape) as file:
+            for start, stop in bands(grid, 12):
+                file.write(before[start:stop] + np.float32(found.offset))
+
+    return Work(ref, record, make)
+
+
 def maps(
-    store: Store, tile: Tile, normals: ArtefactRef, height: ArtefactRef, plate: ArtefactRef | None
+    store: Store,
+    tile: Tile,
+    normals: ArtefactRef,
+    height: ArtefactRef,
+    plate: ArtefactRef | None,
+    trend: ArtefactRef | None,
 ) -> Work:
     """Products that are images: normals, albedo, reflection, height, confidence, trend."""
-    inputs = {"normals": normals, "height": height}
+    inputs = {"normals": normals, "height": height, "trend": trend}
     facts = {"white_reflectance": tile.white_reflectance if plate else None}
     ref, record = describe("maps", tile.artwork, tile.name, inputs=inputs, facts=facts)
 
@@ -278,7 +311,7 @@ def maps(
         info = survey(tile)
         products.write_maps(
             folder,
-            products.open_maps(store, normals, height),
+            products.open_maps(store, normals, height, trend),
             grid_of(tile, info),
             white=tile.white_reflectance if plate else None,
             icc=info.icc,
@@ -309,6 +342,7 @@ def report(
     bias: ArtefactRef | None,
     normals: ArtefactRef,
     height: ArtefactRef,
+    trend: ArtefactRef | None,
     maps: ArtefactRef,
     mesh: ArtefactRef,
 ) -> Work:
@@ -319,6 +353,7 @@ def report(
         "bias": bias,
         "normals": normals,
         "height": height,
+        "trend": trend,
         "maps": maps,
         "mesh": mesh,
     }

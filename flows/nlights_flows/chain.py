@@ -37,18 +37,19 @@ def digitise_tile(tile: Tile, recipe: Recipe, call: Call) -> dict[str, ArtefactR
         call(stages.bias, tile, detrend.normals, recipe.normals, lights, plate) if detrend.normals else None
     )
 
-    height = None
+    height = trend = None
     for _ in range(recipe.passes):
         normals = call(stages.normals, tile, recipe.normals, lights, plate, bias, height)
         height = call(stages.height, tile, recipe.integrator, normals)
         if detrend.height:
-            height = call(stages.trend, tile, detrend.height, height)
+            height = trend = call(stages.trend, tile, detrend.height, height)
+        if _levels(recipe):
+            height = call(stages.level, tile, lights, plate, height)
 
-    maps = call(stages.maps, tile, normals, height, plate)
+    maps = call(stages.maps, tile, normals, height, plate, trend)
     mesh = call(stages.mesh, tile, maps, height)
-    report = call(
-        stages.report, tile, recipe_record(recipe), lights, plate, bias, normals, height, maps, mesh
-    )
+    record = recipe_record(recipe)
+    report = call(stages.report, tile, record, lights, plate, bias, normals, height, trend, maps, mesh)
     return {"maps": maps, "mesh": mesh, "report": report}
 
 
@@ -61,4 +62,10 @@ def steps(recipe: Recipe) -> int:
     """How many stages the chain calls for a tile, for a progress bar."""
     detrend = recipe.detrend
     once = 4 + sum(part is not None for part in (detrend.images, detrend.normals))
-    return once + recipe.passes * (2 + (detrend.height is not None))
+    return once + recipe.passes * (2 + (detrend.height is not None) + _levels(recipe))
+
+
+def _levels(recipe: Recipe) -> bool:
+    """Whether the height's constant matters and can be found: a second pass, and a photographed plate."""
+    images = recipe.detrend.images
+    return recipe.passes > 1 and images is not None and images.needs_flats

@@ -16,8 +16,11 @@ def nlights_algorithms() -> Iterable[type[Algorithm]]:
     from nlights_plugins.integrators import FrankotChellappa, Simchony
     from nlights_plugins.least_squares import LeastSquares
     from nlights_plugins.measured_poi import MeasuredPoi
+    from nlights_plugins.median_of_triplets import MedianOfTriplets
     from nlights_plugins.normal_detrends import FlatResidual
     from nlights_plugins.progressive import Progressive
+    from nlights_plugins.rank_trim import RankTrim
+    from nlights_plugins.robust import Robust
 
     return [
         MeasuredPoi,
@@ -27,6 +30,9 @@ def nlights_algorithms() -> Iterable[type[Algorithm]]:
         InverseSquare,
         LeastSquares,
         Progressive,
+        RankTrim,
+        MedianOfTriplets,
+        Robust,
         FlatResidual,
         FrankotChellappa,
         Simchony,

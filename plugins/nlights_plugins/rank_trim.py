@@ -19,8 +19,15 @@ class RankTrim(NormalSolver):
 
     name: ClassVar[str] = "rank-trim"
 
-    darkest: float = Field(default=0.2, ge=0, lt=0.5, description="share of the darkest samples to drop")
-    brightest: float = Field(default=0.1, ge=0, lt=0.5, description="share of the brightest samples to drop")
+    darkest: float = Field(
+        default=0.2,
+        ge=0,
+        lt=0.5,
+        description="share of each pixel's samples to drop as its darkest, rounded down",
+    )
+    brightest: float = Field(
+        default=0.1, ge=0, lt=0.5, description="share to drop as its brightest, rounded up"
+    )
     shadow: float = Field(
         default=0.02,
         ge=0,

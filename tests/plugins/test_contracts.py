@@ -13,8 +13,11 @@ from nlights_plugins.image_detrends import FlatField, InverseSquare
 from nlights_plugins.integrators import FrankotChellappa, Simchony
 from nlights_plugins.least_squares import LeastSquares
 from nlights_plugins.measured_poi import MeasuredPoi
+from nlights_plugins.median_of_triplets import MedianOfTriplets
 from nlights_plugins.normal_detrends import FlatResidual
 from nlights_plugins.progressive import Progressive
+from nlights_plugins.rank_trim import RankTrim
+from nlights_plugins.robust import Robust
 
 
 class TestMeasuredPoi(contracts.LightModelContract):
@@ -39,6 +42,18 @@ class TestLeastSquares(contracts.NormalSolverContract):
 
 class TestProgressive(contracts.NormalSolverContract):
     algorithm = Progressive()
+
+
+class TestRankTrim(contracts.NormalSolverContract):
+    algorithm = RankTrim()
+
+
+class TestMedianOfTriplets(contracts.NormalSolverContract):
+    algorithm = MedianOfTriplets()
+
+
+class TestRobust(contracts.NormalSolverContract):
+    algorithm = Robust()
 
 
 class TestFlatResidual(contracts.NormalDetrendContract):
