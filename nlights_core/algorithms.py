@@ -76,6 +76,9 @@ class Algorithm(BaseModel, ABC):
     """The slot of the recipe that this kind fills."""
     name: ClassVar[str]
     """What ``use:`` in a recipe calls it: hyphenated, as in the literature."""
+    needs: ClassVar[tuple[str, ...]] = ()
+    """Fields of the tile that must be there (of "stand", "flats", "spheres", "lights"): checked
+    before anything runs."""
 
 
 class LightModel(Algorithm):
@@ -121,8 +124,6 @@ class ImageDetrend(Algorithm):
     """What a flat, matt, white plate at z = 0 reads under each lamp."""
 
     slot: ClassVar[str] = "detrend.images"
-    needs_flats: ClassVar[bool] = False
-    """Whether photographs of a flat reference are required."""
 
     @abstractmethod
     def plate(self, flats: Array | None, lights: LightField, x: Array, y: Array) -> Array:
@@ -134,7 +135,7 @@ class ImageDetrend(Algorithm):
         ----------
         flats : (L, h, w, C) float32 array or None
             Photographs of the plate: linear, dark subtracted, divided by the lamps' power,
-            averaged over blocks; NaN where saturated.  None unless `needs_flats`.
+            averaged over blocks; NaN where saturated.  None unless "flats" is among `needs`.
         lights : LightField
             The lamps.
         x, y : (w,) and (h,) float64 arrays
@@ -179,6 +180,7 @@ class NormalDetrend(Algorithm):
     """The systematic distortion of normals, seen on a flat reference."""
 
     slot: ClassVar[str] = "detrend.normals"
+    needs: ClassVar[tuple[str, ...]] = ("flats",)
 
     @abstractmethod
     def bias(self, reference: NormalField) -> Array:

@@ -60,6 +60,9 @@ def find(what: str, kind: str, error: type[NlightsError], base: Path | None = No
 class _Loader(yaml.SafeLoader):
     """Safe YAML without aliases (they can explode) and without doubled keys."""
 
+    def construct_undefined(self, node: Any) -> Any:
+        raise yaml.MarkedYAMLError(problem=f"the tag {node.tag} is not allowed", problem_mark=node.start_mark)
+
     def compose_node(self, parent: Any, index: Any) -> Any:
         if self.check_event(yaml.AliasEvent):
             mark = self.peek_event().start_mark  # type: ignore[no-untyped-call]
@@ -71,12 +74,19 @@ class _Loader(yaml.SafeLoader):
     def construct_mapping(self, node: Any, deep: bool = False) -> Any:
         seen = set()
         for key, _ in node.value:
+            if not isinstance(key, yaml.ScalarNode):
+                raise yaml.MarkedYAMLError(
+                    problem="a field's name should be plain text", problem_mark=key.start_mark
+                )
             if key.value in seen:
                 raise yaml.MarkedYAMLError(
                     problem=f"the key '{key.value}' stands twice", problem_mark=key.start_mark
                 )
             seen.add(key.value)
         return super().construct_mapping(node, deep)
+
+
+_Loader.add_constructor(None, _Loader.construct_undefined)
 
 
 class Source:
@@ -141,14 +151,27 @@ class Source:
         except ValidationError as faults:
             raise self.error("\n".join(self.sentences(faults, model))) from None
 
-    def sentences(
-        self, faults: ValidationError, model: type[BaseModel] | None = None, prefix: tuple[Any, ...] = ()
-    ) -> Iterator[str]:
-        """Every fault that pydantic found, in our words."""
+    def sentences(self, faults: ValidationError, model: type[BaseModel] | None = None) -> Iterator[str]:
+        """Every fault that pydantic found, in our words, one for each field."""
+        told: dict[tuple[Any, ...], list[str]] = {}
         for fault in faults.errors():
-            location = prefix + fault["loc"]
-            fields = list(model.model_fields) if model is not None and len(fault["loc"]) == 1 else None
-            yield self.fault(location, explain(dict(fault), fields))
+            location = self._of_field(fault["loc"], fault["type"])
+            fields = list(model.model_fields) if model is not None and len(location) == 1 else None
+            told.setdefault(location, []).append(explain(dict(fault), fields))
+        for location, sentences in told.items():
+            yield self.fault(location, "; or ".join(dict.fromkeys(sentences)))
+
+    def _of_field(self, location: tuple[Any, ...], kind: str) -> tuple[Any, ...]:
+        """Cut pydantic's own words (names of a union's branches) off a location."""
+        value, steps = self.data, list(location)
+        for i, step in enumerate(steps):
+            if (isinstance(value, dict) and step in value) or (
+                isinstance(value, list) and isinstance(step, int) and step < len(value)
+            ):
+                value = value[step]
+            else:
+                return tuple(steps[: i + 1] if kind == "missing" else steps[:i])
+        return location
 
 
 def explain(fault: dict[str, Any], fields: list[str] | None = None) -> str:
@@ -173,6 +196,16 @@ def explain(fault: dict[str, Any], fields: list[str] | None = None) -> str:
             return f"should be less than {context['lt']:g}; got {given}"
         case "literal_error":
             return f"should be {context['expected']}; got {given}"
+        case "model_type" | "dict_type":
+            return f"should be a mapping of fields to values; got {given}"
+        case "list_type" | "tuple_type":
+            return f"should be a list; got {given}"
+        case "string_type":
+            return f"should be text; got {given}"
+        case "float_type" | "float_parsing" | "int_type" | "int_parsing":
+            return f"should be a number; got {given}"
+        case "finite_number":
+            return f"should be a finite number; got {given}"
         case "value_error":
             return str(context.get("error", fault["msg"]))
         case _:
@@ -180,7 +213,7 @@ def explain(fault: dict[str, Any], fields: list[str] | None = None) -> str:
 
 
 def _named(value: Any) -> str:
-    text = repr(value)
+    text = "nothing" if value is None else repr(value)
     return text if len(text) <= 60 else text[:57] + "..."
 
 

@@ -71,9 +71,21 @@ def grid_of(tile: Tile, info: ImageInfo) -> PixelGrid:
 
     The stand's framed field sets the scale; without a stand the capture's ``pixel_size_mm``
     does; without either the unit of length is the pixel.
+
+    Raises
+    ------
+    TileError
+        When the photographs are not of the shape of the stand's field: turned, or cropped.
     """
     if tile.stand is not None:
         camera = tile.stand.camera_position
+        width, height = tile.stand.field_mm
+        if abs(info.columns * height / (info.rows * width) - 1) > 0.02 + 1 / min(info.rows, info.columns):
+            raise TileError(
+                f"{tile.artwork}/{tile.name}: frames: {info.columns} x {info.rows} px are not of the shape of "
+                f"the stand's field ({width:g} x {height:g} mm); turn or crop the photographs as the camera saw "
+                "the field, or correct field_mm in the stand's file"
+            )
         size = tile.stand.field_mm[0] / info.columns
         return PixelGrid(info.rows, info.columns, size, (camera[0], camera[1], camera[2]))
     if tile.pixel_size_mm is not None:
@@ -119,8 +131,8 @@ class Exposure:
             return
         if self.saturated > BURNT * self.pixels:
             raise TileError(
-                f"{path}: {name}: {self.saturated / self.pixels:.1%} of its pixels are saturated; "
-                "photograph again with a shorter exposure"
+                f"{path}: {name}: {self.saturated / self.pixels:.1%} of its pixels are saturated; photograph "
+                "again with a shorter exposure, or state the level in encoding.saturation"
             )
         if self.total < BLACK * self.pixels:
             raise TileError(
@@ -204,6 +216,8 @@ class Darkroom:
         if self.mask is not None:
             inside = self.mask.band(start, stop).max(axis=-1) > 0
         dark = self.dark.band(start, stop) if self.dark is not None else None
+        if dark is not None:
+            self.exposures.setdefault("dark", Exposure()).add(grey(dark).ravel(), is_saturated(dark).ravel())
         count = len(self.photographs)
         images = np.empty((count, *shape, self.info.channels), np.float32)
         saturated = np.empty((count, *shape), bool)
@@ -273,7 +287,15 @@ class Darkroom:
         return Band(raw.start, raw.stop, images, weights, saturated, vectors, ambient)
 
     def check(self) -> None:
-        """Refuse a photograph that turned out black or saturated throughout."""
+        """Refuse a photograph that turned out black or saturated throughout, and an empty mask."""
+        dark = self.exposures.pop("dark", None)
+        if dark is not None and self.dark is not None and dark.saturated > 0.5 * dark.pixels:
+            raise TileError(
+                f"{self.dark.path}: dark: {dark.saturated / dark.pixels:.1%} of its pixels are saturated; "
+                "photograph it again with the lens covered"
+            )
+        if self.mask is not None and not any(exposure.pixels for exposure in self.exposures.values()):
+            raise TileError(f"{self.mask.path}: mask: is 0 everywhere; paint the artwork white")
         for lamp, exposure in self.exposures.items():
             exposure.check(f"{self.subject}.{lamp}", self.paths[lamp])
 

@@ -6,8 +6,10 @@ memory, and without dates, so that the same maps give the same bytes.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
+from types import TracebackType
+from typing import Any
 
 import numpy as np
 
@@ -112,46 +114,75 @@ def srgb_profile() -> bytes:
     return profile[:24] + date + profile[36:]
 
 
-def _write_streamed(
-    path: Path,
-    shape: tuple[int, ...],
-    dtype: np.dtype[np.generic],
-    parts: Iterable[Array],
-    grid: PixelGrid,
-    description: str,
-    icc: bytes | None,
-) -> None:
-    """Write the header of an uncompressed TIFF, then its rows as they come.
+class BandTiff:
+    """An uncompressed TIFF that is written band by band.
 
-    A memory-mapped file would be shorter to write, but a full disk kills a process that fills
-    one; plain writes raise OSError.
+    The header is written first, then the rows as they come.  A memory-mapped file would be
+    shorter to write, but a full disk kills a process that fills one; plain writes raise OSError.
+
+    Parameters
+    ----------
+    path : Path
+        File to write; an existing one is replaced.
+    shape : tuple of int
+        (H, W) or (H, W, 3).
+    dtype : dtype
+        Of the pixels.
+    grid : PixelGrid, optional
+        Sets the resolution tags, where its unit is mm.
+    description : str
+        Goes to ImageDescription.
+    icc : bytes, optional
+        Colour profile to embed.
     """
-    import tifffile
 
-    pixel = int(np.prod(shape[2:], dtype=int)) * dtype.itemsize
-    size = shape[0] * shape[1] * pixel
-    resolution = (10 / grid.pixel_size,) * 2 if grid.unit == "mm" else None
-    with tifffile.TiffWriter(path, bigtiff=size > 2**32 - 2**20, byteorder="<") as file:
-        place = file.write(
-            None,
-            shape=shape,
-            dtype=dtype,
-            photometric="rgb" if len(shape) == 3 else "minisblack",
-            planarconfig="contig" if len(shape) == 3 else None,
-            rowsperstrip=max(1, min(shape[0], (8 << 20) // (shape[1] * pixel))),
-            resolution=resolution,
-            resolutionunit="CENTIMETER" if resolution else "NONE",
-            description=description.encode(),
-            software=f"nLights {__version__}",
-            metadata=None,
-            iccprofile=icc,
-            returnoffset=True,
-        )
-    assert place is not None
-    with path.open("r+b") as stream:
-        stream.seek(place[0])
-        for part in parts:
-            stream.write(np.ascontiguousarray(part, dtype.newbyteorder("<")).data)
+    def __init__(
+        self,
+        path: Path,
+        shape: tuple[int, ...],
+        dtype: Any,
+        *,
+        grid: PixelGrid | None = None,
+        description: str = "",
+        icc: bytes | None = None,
+    ) -> None:
+        import tifffile
+
+        self._dtype = np.dtype(dtype).newbyteorder("<")
+        pixel = int(np.prod(shape[2:], dtype=int)) * self._dtype.itemsize
+        size = shape[0] * shape[1] * pixel
+        resolution = (10 / grid.pixel_size,) * 2 if grid is not None and grid.unit == "mm" else None
+        with tifffile.TiffWriter(path, bigtiff=size > 2**32 - 2**20, byteorder="<") as file:
+            place = file.write(
+                None,
+                shape=shape,
+                dtype=np.dtype(dtype),
+                photometric="rgb" if len(shape) == 3 else "minisblack",
+                planarconfig="contig" if len(shape) == 3 else None,
+                rowsperstrip=max(1, min(shape[0], (8 << 20) // (shape[1] * pixel))),
+                resolution=resolution,
+                resolutionunit="CENTIMETER" if resolution else "NONE",
+                description=description.encode() or None,
+                software=f"nLights {__version__}",
+                metadata=None,
+                iccprofile=icc,
+                returnoffset=True,
+            )
+        assert place is not None
+        self._stream = path.open("r+b")
+        self._stream.seek(place[0])
+
+    def write(self, band: Array) -> None:
+        """Append rows."""
+        self._stream.write(np.ascontiguousarray(band, self._dtype).data)
+
+    def __enter__(self) -> BandTiff:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stream.close()
 
 
 def write_tiff(
@@ -193,8 +224,9 @@ def write_tiff(
             f"{path}: expected {grid.rows} x {grid.columns} pixels of 1 or 3 channels, got {array.shape}"
         )
     shape = grid.shape if depth in ((), (1,)) else (*grid.shape, 3)
-    parts = (array[band] for band in bands(grid.rows, array[:1].nbytes))
-    _write_streamed(Path(path), shape, array.dtype, parts, grid, description, icc)
+    with BandTiff(Path(path), shape, array.dtype, grid=grid, description=description, icc=icc) as file:
+        for band in bands(grid.rows, array[:1].nbytes):
+            file.write(array[band])
 
 
 def write_normals_view(path: str | Path, normals: Array) -> None:
@@ -243,13 +275,10 @@ def write_albedo_view(path: str | Path, albedo: Array, grid: PixelGrid) -> None:
     OSError
         When the file cannot be written.
     """
-
-    def encoded() -> Iterator[Array]:
+    description = "Albedo for viewing: sRGB (IEC 61966-2-1), clipped to 0..1, black where not known"
+    with BandTiff(
+        Path(path), (*grid.shape, 3), np.uint16, grid=grid, description=description, icc=srgb_profile()
+    ) as file:
         for band in bands(grid.rows, 3 * albedo[:1].nbytes):
             code = np.rint(srgb(albedo[band]) * np.float32(65535)).astype(np.uint16)
-            yield np.broadcast_to(code.reshape(*code.shape[:2], -1), (*code.shape[:2], 3))
-
-    description = "Albedo for viewing: sRGB (IEC 61966-2-1), clipped to 0..1, black where not known"
-    _write_streamed(
-        Path(path), (*grid.shape, 3), np.dtype(np.uint16), encoded(), grid, description, srgb_profile()
-    )
+            file.write(np.broadcast_to(code.reshape(*code.shape[:2], -1), (*code.shape[:2], 3)))

@@ -66,7 +66,7 @@ def _normal_equations(images: Array, lights: Array, weights: Array) -> tuple[Arr
     """Sums of ``w l l^T`` (upper triangles) and of ``w I l`` over the lights, float64."""
     shape = images.shape[1:]
     if lights.size == 3 * len(images):
-        # No matrix product: small ones on all cores of a busy machine take a hundred times as long.
+        # No matrix product: it shares small work out to all cores, and waits long for busy ones.
         rays = lights.reshape(-1, 3).T.astype(np.float64)
         rows, columns = np.triu_indices(3)
         w = weights.astype(np.float64)

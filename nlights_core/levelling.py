@@ -202,7 +202,7 @@ class _Linearised:
         return _solved(self.images, self.lights, weights, self.by_offset)
 
     def sums(self, scale: float) -> tuple[Array, Array, int]:
-        """This band's share of the normal equations."""
+        """Share of this band of the normal equations."""
         known = np.isfinite(self.albedo)
         count = len(self.images)
         weights = np.where(known, self.weights / (scale**2 * self.albedo), 0)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import re
+import unicodedata
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from nlights_core.capture import Encoding, GivenLights, Sphere, Tile
 from nlights_core.configurations import Source, load_stand
@@ -16,12 +17,18 @@ from nlights_core.stands import Positive, Record, Stand
 Frames = dict[str, str] | list[str] | str
 """Photographs per lamp: a mapping, a list in the lamps' order, or a pattern."""
 
+PlainText = Annotated[str, AfterValidator(lambda text: unicodedata.normalize("NFC", text))]
+"""Text whose accents are composed: file systems differ in how they write them."""
+
+LONGEST_NAME = 120
+"""Bytes of a name that becomes a folder's."""
+
 PLAIN_NAME = re.compile(r"[^\W_](?:[\w .,()+-]*[\w)])?")
 _PLACEHOLDER = re.compile(r"\{([^{}]*)\}")
 
 
 class _Artwork(Record):
-    id: Annotated[str, Field(max_length=120)]
+    id: PlainText
     title: str = ""
 
 
@@ -39,7 +46,7 @@ class _Lights(Record):
 
 
 class _Tile(Record):
-    name: Annotated[str, Field(max_length=120)]
+    name: PlainText
     origin_mm: tuple[float, float] = (0.0, 0.0)
     frames: Frames | None = None
     flats: Frames | None = None
@@ -128,6 +135,7 @@ class _Reader:
         self.folder, self.root = folder, root
         self.faults: list[str] = []
         self._names: set[str] = set()
+        self._outside: set[tuple[str | int, ...]] = set()
         self._plain(("artwork", "id"), manifest.artwork.id)
 
     def tile(self, index: int, entry: _Tile) -> Tile | None:
@@ -216,7 +224,7 @@ class _Reader:
                             + ", ".join(self.stand.lamps),
                         )
                     )
-        if len(found) < 3:
+        if found and len(found) < 3:
             self.faults.append(
                 self.source.fault(at, f"photometric stereo needs at least 3 lamps; found {len(found)}")
             )
@@ -238,7 +246,7 @@ class _Reader:
 
     def _pattern(self, at: tuple[str | int, ...], pattern: str, tile: str) -> dict[str, Path]:
         """A pattern with {lamp} or {n}: over the stand's lamps, or over the files that exist."""
-        if not re.search(r"\{(lamp|n)(:0?\d+d?)?\}", pattern):
+        if not re.search(r"\{(lamp|n)(:[^{}]*)?\}", pattern):
             self.faults.append(
                 self.source.fault(at, f"the pattern '{pattern}' needs {{lamp}} or {{n}} to tell lamps apart")
             )
@@ -265,6 +273,8 @@ class _Reader:
             if match:
                 found[match.group(1)] = self._path(at, path.relative_to(self.folder).as_posix())
         numbered = all(key.isdigit() for key in found)
+        if not found:
+            self.faults.append(self.source.fault(at, f"no file fits the pattern '{pattern}'; correct it"))
         return dict(sorted(found.items(), key=lambda item: int(item[0]) if numbered else item[0]))
 
     def _fill(
@@ -286,7 +296,7 @@ class _Reader:
                 return tile
             if name == "lamp" and lamp:
                 return lamp
-            if name == "n" and n and re.fullmatch(r"(0?\d+d?)?", width):
+            if name == "n" and n and re.fullmatch(r"(0?[1-9]d?)?", width):
                 return str(n).zfill(int(width.rstrip("d") or 0))
             self.faults.append(
                 self.source.fault(at, f"{match.group(0)} is not known here; known: {{tile}}, {{lamp}}, {{n}}")
@@ -303,7 +313,8 @@ class _Reader:
             path = (self.folder / text).resolve()
         except (OSError, ValueError, RuntimeError):  # a NUL, a loop of links
             path = Path("/")
-        if not path.is_relative_to(self.root):
+        if not path.is_relative_to(self.root) and at not in self._outside:
+            self._outside.add(at)
             self.faults.append(
                 self.source.fault(
                     at,
@@ -320,6 +331,12 @@ class _Reader:
             )
 
     def _plain(self, at: tuple[str | int, ...], name: str) -> None:
+        if len(name.encode()) > LONGEST_NAME:
+            self.faults.append(
+                self.source.fault(
+                    at, f"is {len(name.encode())} bytes long and names a folder; {LONGEST_NAME} are allowed"
+                )
+            )
         if not PLAIN_NAME.fullmatch(name):
             self.faults.append(
                 self.source.fault(

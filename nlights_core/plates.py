@@ -79,7 +79,7 @@ class Plate:
 
 def block_size(grid: PixelGrid) -> int:
     """Edge of the blocks that a plate of this grid is averaged over, px."""
-    return max(1, round(max(grid.rows, grid.columns) / COLUMNS))
+    return max(1, min(round(max(grid.rows, grid.columns) / COLUMNS), min(grid.shape) // 4))
 
 
 def continued(reading: Array, x: Array, y: Array, step: float) -> Plate:

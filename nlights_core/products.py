@@ -7,6 +7,7 @@ import os
 import shutil
 import uuid
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -166,8 +167,11 @@ def write_meshes(folder: Path, height: Array, maps: Path, grid: PixelGrid, progr
     )
     try:
         light = meshes.write_glb(folder / "mesh.glb", height, albedo, grid)
-    except ValueError as fault:
-        raise TileError(f"mesh: {fault}") from None
+    except ValueError:
+        raise TileError(
+            "mesh: no 2 x 2 pixels of the height are known, so there is no surface; see the mask, and the "
+            "lights used in the store's normals"
+        ) from None
     summary = {"ply": {"vertices": vertices, "faces": faces}, "glb": light}
     (folder / "mesh.json").write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
 
@@ -248,7 +252,8 @@ def _lineage(store: Store, refs: Mapping[str, ArtefactRef | None]) -> list[dict[
         record = json.loads((store.root / folder / RECORD).read_text(encoding="utf-8"))
         for cause in record.pop("input_folders").values():
             visit(cause)
-        record.pop("seconds")
+        for name in ("seconds", "files"):
+            record.pop(name)
         found.setdefault(record["key"], record)
 
     for ref in refs.values():
@@ -304,6 +309,8 @@ def publish(store: Store, tile: Tile, refs: Mapping[str, ArtefactRef], out: Path
             draft.rename(target)
     finally:
         shutil.rmtree(draft, ignore_errors=True)
+        with suppress(OSError):  # the artwork's folder, where nothing could be put into it
+            target.parent.rmdir()
     return target
 
 
@@ -320,7 +327,10 @@ def _place(source: Path, target: Path) -> None:
     try:
         os.link(source, target)
     except OSError:
-        shutil.copyfile(source, target)
+        try:
+            shutil.copyfile(source, target)
+        except OSError as fault:  # it names the source, which is not at fault
+            raise OSError(fault.errno, fault.strerror, str(target)) from fault
 
 
 def _write_json(path: Path, value: Any) -> None:

@@ -8,14 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from nlights_core.export import bands
 from nlights_core.fields import NormalField
 from nlights_core.frames import Array, PixelGrid
-from nlights_core.levelling import Level
+
+if TYPE_CHECKING:
+    from nlights_core.levelling import Level
 
 SAMPLE = 2_000_000
 

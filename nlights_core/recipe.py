@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 from typing import Any
 
-from pydantic import ConfigDict, Field, SerializeAsAny, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, SerializeAsAny, ValidationError
 
 from nlights_core.algorithms import (
     Algorithm,
@@ -16,6 +16,7 @@ from nlights_core.algorithms import (
     NormalDetrend,
     NormalSolver,
 )
+from nlights_core.capture import Tile
 from nlights_core.configurations import Source, explain, find
 from nlights_core.errors import RecipeError
 from nlights_core.registry import Registry, installed
@@ -48,6 +49,28 @@ class Recipe(Record):
         "the height of the pass before",
     )
 
+    def algorithms(self) -> list[Algorithm]:
+        """Every algorithm of the recipe, in the order in which they run."""
+        slots = (
+            self.light_model,
+            self.detrend.images,
+            self.normals,
+            self.detrend.normals,
+            self.integrator,
+            self.detrend.height,
+        )
+        return [algorithm for algorithm in slots if algorithm is not None]
+
+    def lacking(self, tile: Tile) -> list[str]:
+        """What of a capture this recipe needs and the tile has not, as sentences."""
+        return [
+            f"{MANIFEST_FIELD.get(need, need)}: is missing, and {algorithm.slot}: {algorithm.name} of the recipe "
+            f"'{self.name}' needs it; add it to the manifest, or choose another {algorithm.slot}"
+            for algorithm in self.algorithms()
+            for need in algorithm.needs
+            if not getattr(tile, need)
+        ]
+
     def record(self) -> dict[str, Any]:
         """The recipe as it could be written in YAML, with every option spelled out."""
         detrend = {
@@ -62,6 +85,10 @@ class Recipe(Record):
             "integrator": described(self.integrator),
             "passes": self.passes,
         }
+
+
+MANIFEST_FIELD = {"spheres": "chrome_spheres"}
+"""Where a tile's field has another name in the manifest."""
 
 
 def described(algorithm: Algorithm) -> dict[str, Any]:
@@ -111,6 +138,7 @@ class _Reader:
         elif detrend is not None:
             self.faults.append(self.source.fault(("detrend",), f"should be a mapping; got {detrend!r}"))
         passes = {"passes": data["passes"]} if "passes" in data else {}
+        self._are_numbers((), passes, Recipe)
         if not self.faults:
             try:
                 return Recipe(name=name, detrend=Detrends(**removed), **chosen, **passes)
@@ -152,6 +180,8 @@ class _Reader:
             self.faults.append(self.source.fault((*location, "use"), self._unknown(slot, data["use"])))
             return None
         options = {k: v for k, v in data.items() if k != "use"}
+        if not self._are_numbers(location, options, offer.algorithm):
+            return None
         try:
             return offer.algorithm.model_validate(options)
         except ValidationError as faults:
@@ -160,6 +190,17 @@ class _Reader:
                 sentence = explain(dict(fault), fields if len(fault["loc"]) == 1 else None)
                 self.faults.append(self.source.fault(location + fault["loc"], sentence))
             return None
+
+    def _are_numbers(
+        self, location: tuple[str, ...], options: dict[str, Any], model: type[BaseModel]
+    ) -> bool:
+        """Refuse ``yes`` and quoted numbers where a number is meant: pydantic would read them as one."""
+        before = len(self.faults)
+        for name, value in options.items():
+            field = model.model_fields.get(name)
+            if field is not None and field.annotation in (int, float) and isinstance(value, bool | str):
+                self.faults.append(self.source.fault((*location, name), f"should be a number; got {value!r}"))
+        return len(self.faults) == before
 
     def _unknown(self, slot: str, name: str) -> str:
         offers = self.registry.offers(slot)

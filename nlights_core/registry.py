@@ -21,7 +21,6 @@ from dataclasses import dataclass
 from functools import cache, lru_cache
 from importlib import metadata
 from pathlib import Path
-from typing import cast
 
 import pluggy
 
@@ -109,6 +108,12 @@ def _check(offer: Offer) -> None:
             f"{offer.origin}: {cls.__name__} is of no known kind; subclass one of "
             + ", ".join(kind.__name__ for kind in KINDS)
         )
+    unknown = set(cls.needs) - {"stand", "flats", "spheres", "lights"}
+    if unknown:
+        raise PluginError(
+            f"{offer.origin}: {cls.__name__} needs {', '.join(sorted(unknown))}, which no tile has; a tile has "
+            "stand, flats, spheres and lights"
+        )
     if not isinstance(getattr(cls, "name", None), str):
         raise PluginError(f"{offer.origin}: {cls.__name__} has no name; set name: ClassVar[str]")
     if inspect.isabstract(cls):
@@ -136,7 +141,7 @@ def installed() -> Registry:
             plugin = entry.load()
             name = manager.register(plugin, name=f"{distribution}:{entry.name}")
             manager.check_pending()
-        except Exception as fault:
+        except (Exception, SystemExit) as fault:
             raise PluginError(
                 f"{distribution} {version}: cannot be loaded ({fault}); repair or uninstall it"
             ) from fault
@@ -146,7 +151,13 @@ def installed() -> Registry:
                 f"{distribution} {version}: {entry.value} has no hook nlights_algorithms; "
                 "mark one with @hookimpl, or uninstall it"
             )
-        classes = cast(Iterable[type[Algorithm]], callers[0].function())
+        try:
+            classes: list[type[Algorithm]] = list(callers[0].function())  # type: ignore[call-overload]
+        except (Exception, SystemExit) as fault:
+            raise PluginError(
+                f"{distribution} {version}: its hook nlights_algorithms should return a list of classes, but "
+                f"failed ({type(fault).__name__}: {fault}); repair or uninstall it"
+            ) from fault
         offers += [Offer(cls, distribution, version) for cls in classes]
     return Registry(offers)
 

@@ -17,9 +17,9 @@ from nlights_core.algorithms import Solution
 from nlights_core.frames import Array
 from nlights_core.least_squares import Fit, fit
 
-BLOCK_SAMPLES = 40_000
-"""Samples (pixels times lights) of a block: some arrays of them fit into the processor's cache, and
-OpenBLAS leaves matrix products of 6 rows with them (below 2^18 multiplications) on their core."""
+BLOCK_SAMPLES = 1 << 18
+"""Samples (pixels times lights) of a block: an array of them is 1 MB, so some of them fit into the
+processor's cache, and two threads seldom wait for each other."""
 
 TUKEY = 4.685
 """Residual, in units of the scale, from which Tukey's biweight is 0; with Gaussian noise of known
@@ -28,16 +28,16 @@ scale it keeps 95 % of the efficiency of least squares (Holland and Welsch 1977)
 SUSPICIOUS = 3.0
 """Least squares stand where no residual is larger than this, in units of the noise."""
 
-ABSOLUTE_ROUNDS = 6
-BIWEIGHT_ROUNDS = 3
-"""Rounds of reweighting: twice as many change simulated and real scenes by about 1 %."""
-
-DIMMEST = 0.02
-"""Shading below which the noise is not taken to fall any further."""
+ABSOLUTE_ROUNDS = 8
+BIWEIGHT_ROUNDS = 2
+"""Rounds of reweighting: more change the errors on simulated and real scenes by less than 1 %."""
 
 DARKEST = 0.03
 """Albedo below which the noise is not taken to grow any further relative to it; so images in an
 arbitrary small unit are not taken for noise."""
+
+FEW = 16
+"""With more lights none has a leverage by which it alone decides the fit."""
 
 FEWEST = 5
 """With fewer lights no residual can tell which of them is wrong."""
@@ -87,21 +87,36 @@ def in_blocks(
     )
 
 
-def known_or(first: tuple[Array, Fit], second: tuple[Array, Fit]) -> tuple[Array, Fit]:
-    """Weights and fit of the first where it is known, of the second elsewhere.
+def fit_fewer(
+    images: Array, lights: Array, fewer: Array, usable: Array, condition: float
+) -> tuple[Array, Fit]:
+    """Fit with fewer samples, or with all usable ones where the fewer do not determine a normal.
 
     Parameters
     ----------
-    first, second : tuple of (L, n) array and Fit
-        Weights, and the fit made with them.
+    images, lights : (L, n), (L, n, 3) or (L, 1, 3) arrays
+    fewer, usable : (L, n) arrays
+        Weights.
+    condition : float
+        As for `nlights_core.least_squares.fit`.
 
     Returns
     -------
-    tuple of (L, n) array and Fit
+    weights : (L, n) array
+        Those that were used.
+    fit : Fit
     """
-    known = np.isfinite(first[1].scaled[0])
-    chosen = (np.where(known, a, b) for a, b in zip(first[1], second[1], strict=True))
-    return np.where(known, first[0], second[0]), Fit(*chosen)
+    found = fit(images, lights, fewer, condition)
+    lost = np.nonzero(np.isnan(found.scaled[0]))[0]
+    if not lost.size:
+        return fewer, found
+    rays = lights if lights.shape[1] == 1 else lights[:, lost]
+    again = fit(images[:, lost], rays, usable[:, lost], condition)
+    kept = fewer.copy()
+    kept[:, lost] = usable[:, lost]
+    for whole, part in zip(found, again, strict=True):
+        whole[..., lost] = part
+    return kept, found
 
 
 def rank_trimmed(images: Array, weights: Array, darkest: float, brightest: float) -> Array:
@@ -189,12 +204,14 @@ def reweighted(
 ) -> tuple[Array, Fit]:
     """Least squares where they hold; elsewhere Tukey's biweight about the L1 fit.
 
-    The standard deviation that a sample of albedo a and shading s is expected to have is that
-    of photon noise, ``noise sqrt(a s / w)``.  Where a residual of least squares exceeds three
-    of them, `ABSOLUTE_ROUNDS` of reweighting with ``1 / max(|u|, 1)``, u being the residual in
-    standard deviations, approach the fit with the least sum of absolute residuals.  The scale
-    is then the robust scale of u, at least 1; `BIWEIGHT_ROUNDS` with the weights
-    ``(1 - (u / (4.685 scale))^2)^2``, 0 beyond, follow.  See [1]_, chapters 4 and 5.
+    The standard deviation that a sample is expected to have is that of photon noise,
+    ``noise sqrt(albedo / w)``.  Where a residual of least squares exceeds three of them,
+    `ABSOLUTE_ROUNDS` of reweighting with ``1 / max(|u|, 1)``, u being the residual in standard
+    deviations, approach the fit with the least sum of absolute residuals.  Such a fit follows a
+    wrong light of high leverage, so with few lights a fit without the light that the others
+    predict worst is tried too, and the one with the smaller robust scale of u is taken
+    (S-estimation).  `BIWEIGHT_ROUNDS` with the weights ``(1 - (u / (4.685 scale))^2)^2``, 0
+    beyond, follow; the scale is at least 1.  See [1]_, chapters 4 and 5.
 
     Parameters
     ----------
@@ -216,66 +233,93 @@ def reweighted(
     ----------
     .. [1] R. A. Maronna, R. D. Martin, V. J. Yohai, Robust Statistics, Wiley 2006.
     """
-    plain = fit(images, lights, weights, condition)
     values = np.where(weights > 0, images, np.float32(0))
-    start = plain.scaled.astype(np.float32)
-    precision = _precision(lights, weights, start, noise)
-    doubtful = np.max(_missed(values, lights, start, precision), axis=0) > SUSPICIOUS
-    doubtful &= np.count_nonzero(weights > 0, axis=0) >= FEWEST
-    if not doubtful.any():
-        return weights, plain
-    # Where all are, nothing needs to be copied.
-    chosen = slice(None) if doubtful.all() else np.nonzero(doubtful)[0]
-    rays = lights if lights.shape[1] == 1 else lights[:, chosen]
-    values, given = values[:, chosen], weights[:, chosen]
-    better = _biweighted(values, rays, given, precision[:, chosen], start[:, chosen])
-    before = Fit(*(part[..., chosen] for part in plain))
-    better, again = known_or((better, fit(values, rays, better, condition)), (given, before))
-    out = weights.copy()
-    out[:, chosen] = better
-    for whole, part in zip(plain, again, strict=True):
-        whole[..., chosen] = part
-    return out, plain
+    # Where the lights do not determine a normal the sums are senseless; `fit` finds that out.
+    with np.errstate(all="ignore"):
+        rays, squares = _prepared(lights)
+        start = _fitted(values, rays, squares, weights)
+        precision = _precision(weights, start, noise)
+        doubtful = np.max(_missed(values, lights, start, precision), axis=0) > SUSPICIOUS
+        doubtful &= np.count_nonzero(weights > 0, axis=0) >= FEWEST
+        chosen = np.nonzero(doubtful)[0]
+        better = weights
+        if chosen.size == doubtful.size:
+            # Where all are doubtful, nothing needs to be copied.
+            better = _biweighted(values, lights, weights, precision, start)
+        elif chosen.size:
+            some = lights if lights.shape[1] == 1 else lights[:, chosen]
+            better = weights.copy()
+            better[:, chosen] = _biweighted(
+                values[:, chosen], some, weights[:, chosen], precision[:, chosen], start[:, chosen]
+            )
+    return fit_fewer(images, lights, better, weights, condition)
 
 
 def _shown(lights: Array, scaled: Array) -> Array:
-    """What a fit predicts of every sample, (L, n) float32."""
+    """What a fit predicts of every sample, (L, n) float32.
+
+    ``einsum`` and no matrix product, as in `least_squares`: those share small work out to
+    all cores and wait for them.
+    """
     if lights.shape[1] == 1:
-        return np.einsum("lk,kn->ln", lights[:, 0], scaled)
+        return np.asarray(np.einsum("lk,kn->ln", lights[:, 0], scaled))
     return np.asarray(np.einsum("lnk,kn->ln", lights, scaled))
 
 
-def _precision(lights: Array, weights: Array, scaled: Array, noise: float) -> Array:
+def _precision(weights: Array, scaled: Array, noise: float) -> Array:
     """Inverse of the standard deviation that each sample is expected to have, (L, n) float32.
 
-    0 for a sample that is not used, or where the albedo is not known.  The square of the noise relative to the albedo a is
-    ``noise^2 s / (a w)``, with the shading s and a not below `DIMMEST` and `DARKEST`.
+    0 for a sample that is not used, or where the albedo a is not known.  The square of the
+    noise relative to a is ``noise^2 / (a w)``, with a not below `DARKEST`.
     """
     albedo = np.sqrt(np.sum(scaled**2, axis=0))
-    known = albedo > 0
-    albedo = np.where(known, albedo, np.float32(1))
-    shading = np.maximum(_shown(lights, scaled) / albedo, np.float32(DIMMEST))
     relative = np.float32(noise) * albedo / np.sqrt(np.maximum(albedo, np.float32(DARKEST)))
-    return np.where(known, np.sqrt(weights / shading) / relative, np.float32(0))
+    return np.where(albedo > 0, np.sqrt(weights) / relative, np.float32(0))
+
+
+def _prepared(lights: Array) -> tuple[Array, Array]:
+    """Lights (3, L, n) and their products xx, xy, xz, yy, yz, zz (6, L, n), float32; n may be 1."""
+    rays = np.moveaxis(lights, -1, 0).astype(np.float32)
+    rows, columns = np.triu_indices(3)
+    return rays, np.asarray(rays[rows] * rays[columns])
 
 
 def _biweighted(images: Array, lights: Array, weights: Array, precision: Array, start: Array) -> Array:
     """Weights by Tukey's biweight, (L, m) float32; see `reweighted`."""
-    rays = np.moveaxis(lights, -1, 0).astype(np.float32)
-    rows, columns = np.triu_indices(3)
-    squares = rays[rows] * rays[columns]
+    rays, squares = _prepared(lights)
     scaled = start
     for _ in range(ABSOLUTE_ROUNDS):
         missed = _missed(images, lights, scaled, precision)
         np.maximum(missed, np.float32(1), out=missed)
         scaled = _fitted(images, rays, squares, np.divide(weights, missed, out=missed))
     missed = _missed(images, lights, scaled, precision)
-    reach = np.float32(TUKEY) * np.maximum(_scale(missed, weights > 0), np.float32(1))
+    scale = _scale(missed, weights > 0)
+    if len(images) <= FEW:
+        other = _without_worst(images, lights, weights, precision, start)
+        other_scale = _scale(other, weights > 0)
+        missed = np.where(other_scale < scale, other, missed)
+        scale = np.minimum(scale, other_scale)
+    reach = np.float32(TUKEY) * np.maximum(scale, np.float32(1))
     better = _tukey(missed, reach) * weights
     for _ in range(BIWEIGHT_ROUNDS - 1):
         scaled = _fitted(images, rays, squares, better)
         better = _tukey(_missed(images, lights, scaled, precision), reach) * weights
     return np.asarray(better)
+
+
+def _without_worst(images: Array, lights: Array, weights: Array, precision: Array, start: Array) -> Array:
+    """Absolute residuals of the fit without the sample that the others predict worst, (L, m) float32.
+
+    The square of a sample's residual, divided by 1 - leverage, is by how much the sum of
+    squares falls without it.
+    """
+    rays, squares = _prepared(lights)
+    inverse = _inverse(_sums(squares, weights))
+    own = np.einsum("kln,kn->ln", squares, inverse * np.array([1, 2, 2, 1, 2, 1], np.float32)[:, None])
+    fall = _missed(images, lights, start, precision) ** 2 / np.maximum(1 - weights * own, np.float32(0.01))
+    fewer = weights.copy()
+    np.put_along_axis(fewer, np.argmax(fall, axis=0)[None], 0, axis=0)
+    return _missed(images, lights, _fitted(images, rays, squares, fewer), precision)
 
 
 def _missed(images: Array, lights: Array, scaled: Array, precision: Array) -> Array:
@@ -297,23 +341,33 @@ def _tukey(missed: Array, reach: Array) -> Array:
 
 def _fitted(images: Array, rays: Array, squares: Array, weights: Array) -> Array:
     """A least-squares fit in single precision, good enough to weigh by, (3, m) float32."""
-    values = weights * images
-    if rays.shape[-1] == 1:
-        matrix, right = (
-            np.einsum("kl,ln->kn", squares[..., 0], weights),
-            np.einsum("kl,ln->kn", rays[..., 0], values),
-        )
-    else:
-        matrix = np.einsum("kln,ln->kn", squares, weights)
-        right = np.einsum("kln,ln->kn", rays, values)
+    xx, xy, xz, yy, yz, zz = _inverse(_sums(squares, weights))
+    x, y, z = _sums(rays, weights * images)
+    return np.stack([xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, xz * x + yz * y + zz * z])
+
+
+def _sums(terms: Array, weights: Array) -> Array:
+    """Weighted sums over the lights of terms (k, L, m) or (k, L, 1), (k, m) float32."""
+    if terms.shape[-1] == 1:
+        return np.asarray(np.einsum("kl,ln->kn", terms[..., 0], weights))
+    return np.asarray(np.einsum("kln,ln->kn", terms, weights))
+
+
+def _inverse(matrix: Array) -> Array:
+    """Inverses of symmetric 3 x 3 matrices (6, m) of positive determinant, upper triangles."""
     xx, xy, xz, yy, yz, zz = matrix
-    x, y, z = right
-    a, b, c = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
-    d, e, f = xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy
-    determinant = xx * a + xy * b + xz * c
-    tiny = np.float32(np.finfo(np.float32).tiny)
-    found = np.stack([a * x + b * y + c * z, b * x + d * y + e * z, c * x + e * y + f * z])
-    return np.asarray(found / np.maximum(determinant, tiny))
+    cofactors = np.stack(
+        [
+            yy * zz - yz * yz,
+            xz * yz - xy * zz,
+            xy * yz - xz * yy,
+            xx * zz - xz * xz,
+            xy * xz - xx * yz,
+            xx * yy - xy * xy,
+        ]
+    )
+    determinant = xx * cofactors[0] + xy * cofactors[1] + xz * cofactors[2]
+    return np.asarray(cofactors / np.maximum(determinant, np.float32(np.finfo(np.float32).tiny)))
 
 
 def _scale(missed: Array, used: Array) -> Array:

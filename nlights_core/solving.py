@@ -21,6 +21,7 @@ from nlights_core.frames import Array
 from nlights_core.images import grey
 from nlights_core.plates import Plate
 from nlights_core.store import Progress
+from nlights_core.verification import checked_solution
 
 SHADOW = 0.02
 """A light that shows less than this share of what the brightest one shows is counted as shadow."""
@@ -102,11 +103,12 @@ def solve(
 def _solved(solver: NormalSolver, band: Band) -> Solution:
     """Solve a band; where there is ambient light, subtract its share and solve again."""
     images = grey(band.images)
-    found = solver.solve(images, band.lights, band.weights)
+    found = checked_solution(solver, solver.solve(images, band.lights, band.weights), images.shape)
     if band.ambient is not None:
         for _ in range(AMBIENT_ROUNDS):
             share = band.ambient * np.nan_to_num(found.albedo)
-            found = solver.solve(images - share, band.lights, band.weights)
+            again = solver.solve(images - share, band.lights, band.weights)
+            found = checked_solution(solver, again, images.shape)
     return found
 
 

@@ -33,6 +33,7 @@ from nlights_core.levelling import Level, read_level, write_level
 from nlights_core.memory import require
 from nlights_core.plates import block_size, continued, read_plate, write_plate
 from nlights_core.store import ArtefactRef, Progress, Store, Work, describe
+from nlights_core.verification import checked_array, checked_height, checked_plate
 
 FLATS = "_flats"
 """Where artefacts go that belong to a flat set, not to a tile; no tile can have this name."""
@@ -50,8 +51,17 @@ def _photographed(store: Store, tile: Tile, which: str) -> dict[str, Any]:
             "flats to artwork.yaml, or choose another detrend.images (inverse-square)"
         )
     stand = tile.stand
+    digests = {lamp: store.digest(path) for lamp, path in paths.items()}
+    seen: dict[str, str] = {}
+    for lamp, digest in digests.items():
+        if digest in seen:
+            raise TileError(
+                f"{paths[lamp]}: {which}.{lamp}: is the very photograph of {seen[digest]} "
+                f"({paths[seen[digest]].name}); name the one that was taken under {lamp}"
+            )
+        seen[digest] = lamp
     return {
-        which: {lamp: store.digest(path) for lamp, path in paths.items()},
+        which: digests,
         "dark": store.digest(tile.dark) if tile.dark else None,
         "mask": store.digest(tile.mask) if tile.mask and which == "frames" else None,
         "encoding": tile.encoding.model_dump(mode="json"),
@@ -98,6 +108,11 @@ def lights(store: Store, tile: Tile, model: LightModel) -> Work:
                     return reduced(photograph, reduce, keep_saturated=True)
 
             field = model.locate(tile, read)
+            if not isinstance(field, LightField):
+                raise TileError(
+                    f"light_model: {model.name} should return a LightField; got {type(field).__name__}; report it "
+                    "to its author"
+                )
             if field.lamps != tile.lamps:
                 raise TileError(
                     f"{tile.artwork}/{tile.name}: light_model: {model.name} found lights for "
@@ -138,7 +153,7 @@ def read_lights(store: Store, ref: ArtefactRef) -> LightField:
 
 def plate(store: Store, tile: Tile, detrend: ImageDetrend, lights: ArtefactRef) -> Work:
     """What a flat white plate reads: ``plate.npy`` and where its samples are, ``plate.json``."""
-    if detrend.needs_flats:
+    if "flats" in detrend.needs:
         facts = _photographed(store, tile, "flats")
     else:
         facts = _photographed(store, tile, "frames") | {"frames": None}
@@ -149,14 +164,16 @@ def plate(store: Store, tile: Tile, detrend: ImageDetrend, lights: ArtefactRef) 
 
     def make(folder: Path, progress: Progress) -> None:
         field = read_lights(store, lights)
-        grid = grid_of(tile, survey(tile))
+        info = survey(tile)
+        grid = grid_of(tile, info)
         block = block_size(grid)
         x, y = grid.block_centres(block)
         flats = None
-        if detrend.needs_flats:
+        if "flats" in detrend.needs:
             with store.scratch() as scratch, darkroom(tile, scratch, flats=True) as room:
                 flats = _block_means(room, field, block, progress)
-        reading = detrend.plate(flats, field, x, y)
+        shape = (len(field.lamps), len(y), len(x))
+        reading = checked_plate(detrend, detrend.plate(flats, field, x, y), shape, info.channels)
         found = continued(reading, x, y, block * grid.pixel_size)
         write_plate(folder, found)
 
@@ -203,7 +220,8 @@ def bias(
         with store.scratch() as scratch, darkroom(tile, scratch, flats=True) as room:
             solving.solve(room, solver, field, flat, None, scratch, progress)
             reference = NormalField(read_array(scratch / "normals.npy"), room.grid)
-            write_array(folder / "bias.npy", detrend.bias(reference))
+            found = checked_array(detrend, "the bias", detrend.bias(reference), (*room.grid.shape, 3))
+            write_array(folder / "bias.npy", found)
 
     return Work(ref, record, make)
 
@@ -248,7 +266,8 @@ def height(store: Store, tile: Tile, integrator: Integrator, normals: ArtefactRe
         )
         source = store.path(normals)
         field = NormalField(read_array(source / "normals.npy"), grid, read_array(source / "confidence.npy"))
-        write_array(folder / "height.npy", integrator.integrate(field).height.astype(np.float32, copy=False))
+        found = integrator.integrate(field)
+        write_array(folder / "height.npy", checked_height(integrator, found, grid.shape))
 
     return Work(ref, record, make)
 
@@ -260,8 +279,9 @@ def trend(store: Store, tile: Tile, detrend: HeightDetrend, height: ArtefactRef)
     def make(folder: Path, progress: Progress) -> None:
         grid = grid_of(tile, survey(tile))
         before = read_array(store.path(height) / "height.npy")
-        removed = detrend.trend(HeightMap(before, grid))
-        write_array(folder / "trend.npy", removed.astype(np.float32, copy=False))
+        found = detrend.trend(HeightMap(before, grid))
+        removed = checked_array(detrend, "the trend", found, grid.shape)
+        write_array(folder / "trend.npy", removed)
         with BandWriter(folder / "height.npy", before.shape) as file:
             for start, stop in bands(grid, 12):
                 file.write(before[start:stop] - removed[start:stop])

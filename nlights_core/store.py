@@ -96,7 +96,10 @@ class Store:
             record = json.loads((self.path(ref) / RECORD).read_text(encoding="utf-8"))
         except (OSError, ValueError):
             return False
-        return bool(record.get("key") == ref.key)
+        if record.get("key") != ref.key:
+            return False
+        sizes = {path.name: path.stat().st_size for path in self.path(ref).iterdir()}
+        return all(sizes.get(name) == size for name, size in record.get("files", {}).items())
 
     def ensure(self, work: Work, progress: Progress = lambda share: None) -> bool:
         """Make an artefact unless it is there; appear whole or not at all.
@@ -123,7 +126,11 @@ class Store:
         started = time.monotonic()
         try:
             work.make(draft, progress)
-            record = {**work.record, "seconds": round(time.monotonic() - started, 3)}
+            record = {
+                **work.record,
+                "files": {path.name: path.stat().st_size for path in sorted(draft.iterdir())},
+                "seconds": round(time.monotonic() - started, 3),
+            }
             (draft / RECORD).write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
             self._publish(draft, target, work.ref)
         finally:

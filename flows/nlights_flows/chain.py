@@ -68,4 +68,4 @@ def steps(recipe: Recipe) -> int:
 def _levels(recipe: Recipe) -> bool:
     """Whether the height's constant matters and can be found: a second pass, and a photographed plate."""
     images = recipe.detrend.images
-    return recipe.passes > 1 and images is not None and images.needs_flats
+    return recipe.passes > 1 and images is not None and "flats" in images.needs

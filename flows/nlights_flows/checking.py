@@ -28,6 +28,8 @@ class Finding:
         Size and depth of the photographs.
     exposures : dict
         By lamp, for the frames.
+    notes : list of str
+        Sentences about what is allowed but seldom meant.
     problems : list of str
         Sentences; empty when the tile can be digitised.
     """
@@ -35,6 +37,7 @@ class Finding:
     tile: str
     size: str = ""
     exposures: dict[str, Exposure] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
 
 
@@ -65,9 +68,13 @@ def check_tile(tile: Tile, recipe: Recipe, progress: Callable[[float], None]) ->
     Finding
     """
     finding = Finding(tile.name)
-    needs_flats = bool(
-        recipe.detrend.normals or (recipe.detrend.images and recipe.detrend.images.needs_flats)
-    )
+    finding.problems += recipe.lacking(tile)
+    jpeg = [path.name for path in tile.frames.values() if path.suffix.lower() in (".jpg", ".jpeg")]
+    if jpeg and "transfer" not in tile.encoding.model_fields_set:
+        finding.notes.append(
+            f"{jpeg[0]}: a JPEG is taken as linear light, which few are; state encoding: {{transfer: srgb}} (or "
+            "linear) in the manifest"
+        )
     sets = [False, True] if tile.flats else [False]
     for i, flats in enumerate(sets):
 
@@ -77,9 +84,8 @@ def check_tile(tile: Tile, recipe: Recipe, progress: Callable[[float], None]) ->
         try:
             _read(tile, recipe, flats, finding, share)
         except (NlightsError, OSError) as fault:
-            finding.problems.append(str(fault))
-    if needs_flats and not tile.flats:
-        finding.problems.append(f"flats: the recipe '{recipe.name}' needs them; add flats to artwork.yaml")
+            if str(fault) not in finding.problems:
+                finding.problems.append(str(fault))
     return finding
 
 

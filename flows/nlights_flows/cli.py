@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 from typing import Annotated, Any
@@ -89,7 +90,7 @@ def simulate(
         str, typer.Option(metavar="SCENE", help="plane, drawing, painting or relief.")
     ] = "painting",
     width: Annotated[
-        int, typer.Option(metavar="N", min=16, max=20000, help="Width of the photographs, px.")
+        int, typer.Option(metavar="N", min=32, max=20000, help="Width of the photographs, px.")
     ] = 1000,
     varnish: Annotated[
         bool, typer.Option("--varnish", help="Varnish the painting: it gets highlights.")
@@ -370,21 +371,40 @@ def _prepared(
             f"--tile: {artwork} has no tile '{unknown[0]}'; it has {', '.join(t.name for t in tiles)}"
         )
     chosen_tiles = [tile for tile in tiles if not names or tile.name in names]
+    lacking = [chosen.lacking(tile) for tile in chosen_tiles]
+    if all(lacking):
+        raise CaptureError("\n".join(f"{artwork}: {sentence}" for sentence in lacking[0]))
     return chosen, chosen_tiles, Store(store or out / ".store")
 
 
 def main() -> None:
     """Run the command line; explain what is the user's to mend, without a traceback."""
     try:
-        app()
+        code = app(standalone_mode=False)
+        sys.stdout.flush()
+    except typer.Abort:
+        code = _stopped()
     except NlightsError as fault:
         print(fault, file=sys.stderr)
-        sys.exit(2)
+        code = 2
     except BrokenPipeError:
-        sys.exit(141)
+        # Whoever read the output has seen enough; Python must not complain while it ends.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        code = 141
     except OSError as fault:
         print(f"{fault.filename or 'system'}: {fault.strerror or fault}", file=sys.stderr)
-        sys.exit(2)
+        code = 2
     except KeyboardInterrupt:
-        print("stopped; what is finished is kept: the same command goes on from there", file=sys.stderr)
-        sys.exit(130)
+        code = _stopped()
+    except Exception as fault:
+        # Typer carries its own copy of click, so its faults are known by what they can do.
+        if not hasattr(fault, "show"):
+            raise
+        fault.show()
+        code = getattr(fault, "exit_code", 2)
+    sys.exit(code)
+
+
+def _stopped() -> int:
+    print("stopped; what is finished is kept: the same command goes on from there", file=sys.stderr)
+    return 130

@@ -125,6 +125,8 @@ def show_findings(findings: Sequence[Finding]) -> None:
                 lamp, f"{100 * exposure.total / count:.2f}", f"{100 * exposure.saturated / count:.3f}"
             )
         _wide().print(table)
+        for note in finding.notes:
+            complain(f"{finding.tile}: note: {note}")
         for problem in finding.problems:
             complain(f"{finding.tile}: {problem}")
         print(f"{finding.tile}: {'cannot be digitised' if finding.problems else 'can be digitised'}")

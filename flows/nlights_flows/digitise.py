@@ -128,7 +128,7 @@ def _run_tile(tile: Tile, recipe: Any, store: Store, out: Path) -> Outcome:
 
     try:
         folder = run_tile(tile, recipe, store, out, call)
-    except Exception as fault:
+    except (Exception, SystemExit) as fault:  # a plugin may even call sys.exit
         message = explained(fault, store)
         return Outcome(tile.artwork, tile.name, "failed", None, message, time.monotonic() - started)
     state = "done" if made else "unchanged"

@@ -94,7 +94,7 @@ def run_directly(tile: Tile, recipe: Recipe, store: Store, out: Path, watch: Wat
 
     try:
         folder = run_tile(tile, recipe, store, out, call)
-    except Exception as fault:
+    except (Exception, SystemExit) as fault:  # a plugin may even call sys.exit
         return Outcome(
             tile.artwork, tile.name, "failed", None, explained(fault, store), time.monotonic() - started
         )

@@ -7,16 +7,18 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-import tifffile
 import yaml
 from numpy.random import Generator, default_rng
 
+from nlights_core.configurations import shipped_names
 from nlights_core.errors import CaptureError
+from nlights_core.export import BandTiff
 from nlights_core.frames import Array, PixelGrid
 from nlights_core.stands import Stand
 from nlights_core.testing.illumination import Horizon, LampGroup, horizon, lamp_groups, shine
@@ -191,6 +193,10 @@ def simulate(
         draft = Path(scratch) / "capture"
         _photograph(studio, draft, seed, progress)
         manifest = _manifest(stand, scene, varnish, seed)
+        if stand.name not in shipped_names("stands"):
+            manifest["stand"] = "stand.yaml"
+            own = yaml.safe_dump(stand.model_dump(mode="json"), sort_keys=False)
+            (draft / "stand.yaml").write_text(own, encoding="utf-8")
         (draft / "artwork.yaml").write_text(yaml.safe_dump(manifest, sort_keys=False), encoding="utf-8")
         if folder.exists():
             folder.rmdir()
@@ -219,28 +225,30 @@ def _photograph(studio: Studio, folder: Path, seed: int, progress: Callable[[int
     (folder / "flat").mkdir(parents=True)
     (folder / "truth").mkdir()
 
-    def image(name: str, dtype: str, channels: tuple[int, ...] = (3,)) -> Array:
-        kind = "rgb" if channels else "minisblack"
-        shape = (rows, columns, *channels)
-        return np.asarray(tifffile.memmap(folder / name, shape=shape, dtype=dtype, photometric=kind))
+    with ExitStack() as stack:
 
-    numbers = range(1, len(studio.groups) + 1)
-    frames = [image(f"light_{n}.tif", "uint16") for n in numbers]
-    flats = [image(f"flat/light_{n}.tif", "uint16") for n in numbers]
-    dark = image("dark.tif", "uint16")
-    truth_normals, truth_albedo = (image(f"truth/{name}.tif", "float32") for name in ("normals", "albedo"))
-    truth_height = image("truth/height.tif", "float32", ())
-    gain = EXPOSURE / studio.brightest()
-    for start in range(0, rows, BAND):
-        stop = min(start + BAND, rows)
-        truth = points, truth_normals[start:stop], truth_albedo[start:stop] = studio.truth(start, stop)
-        truth_height[start:stop] = points[2]
-        dark[start:stop] = expose(np.zeros_like(truth[2]), gain, _chance(seed, f"dark {start}"))
-        for k, (matt, gloss, plate) in enumerate(studio.radiance(start, stop, truth)):
-            frames[k][start:stop] = expose(matt + gloss, gain, _chance(seed, f"frame {k} {start}"))
-            flats[k][start:stop] = expose(plate, gain, _chance(seed, f"flat {k} {start}"))
-        if progress is not None:
-            progress(stop, rows)
+        def image(name: str, dtype: str, channels: tuple[int, ...] = (3,)) -> BandTiff:
+            return stack.enter_context(BandTiff(folder / name, (rows, columns, *channels), dtype))
+
+        numbers = range(1, len(studio.groups) + 1)
+        frames = [image(f"light_{n}.tif", "uint16") for n in numbers]
+        flats = [image(f"flat/light_{n}.tif", "uint16") for n in numbers]
+        dark = image("dark.tif", "uint16")
+        normals, albedo = (image(f"truth/{name}.tif", "float32") for name in ("normals", "albedo"))
+        height = image("truth/height.tif", "float32", ())
+        gain = EXPOSURE / studio.brightest()
+        for start in range(0, rows, BAND):
+            stop = min(start + BAND, rows)
+            truth = studio.truth(start, stop)
+            height.write(truth[0][2])
+            normals.write(truth[1])
+            albedo.write(truth[2])
+            dark.write(expose(np.zeros_like(truth[2]), gain, _chance(seed, f"dark {start}")))
+            for k, (matt, gloss, plate) in enumerate(studio.radiance(start, stop, truth)):
+                frames[k].write(expose(matt + gloss, gain, _chance(seed, f"frame {k} {start}")))
+                flats[k].write(expose(plate, gain, _chance(seed, f"flat {k} {start}")))
+            if progress is not None:
+                progress(stop, rows)
 
 
 def _manifest(stand: Stand, scene: str, varnish: bool, seed: int) -> dict[str, object]:

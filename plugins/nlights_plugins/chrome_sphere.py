@@ -40,6 +40,7 @@ class ChromeSphere(LightModel):
     """
 
     name: ClassVar[str] = "chrome-sphere"
+    needs: ClassVar[tuple[str, ...]] = ("spheres",)
 
     highlight: float = Field(
         default=250 / 255,

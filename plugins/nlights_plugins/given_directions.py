@@ -23,6 +23,7 @@ class GivenDirections(LightModel):
     """
 
     name: ClassVar[str] = "given-directions"
+    needs: ClassVar[tuple[str, ...]] = ("lights",)
 
     def locate(self, tile: Tile, read: Read) -> LightField:
         """Read the tile's files of lights; no photograph is read.

@@ -20,7 +20,7 @@ class FlatField(ImageDetrend):
     """
 
     name: ClassVar[str] = "flat-field"
-    needs_flats: ClassVar[bool] = True
+    needs: ClassVar[tuple[str, ...]] = ("flats",)
 
     smoothing: float = Field(
         default=0.01,
@@ -31,7 +31,7 @@ class FlatField(ImageDetrend):
     )
 
     def plate(self, flats: Array | None, lights: LightField, x: Array, y: Array) -> Array:
-        assert flats is not None  # the stage sees to it, by needs_flats
+        assert flats is not None  # the stage sees to it, by `needs`
         blur = self.smoothing * len(x)
         out = np.empty_like(flats)
         for i in range(len(flats)):

@@ -21,6 +21,7 @@ class MeasuredPoi(LightModel):
     """
 
     name: ClassVar[str] = "measured-poi"
+    needs: ClassVar[tuple[str, ...]] = ("stand",)
 
     emission: bool = Field(
         default=False,

@@ -3,7 +3,6 @@
 from typing import ClassVar
 
 import numpy as np
-
 from pydantic import Field
 
 from nlights_core import least_squares, robust_fitting

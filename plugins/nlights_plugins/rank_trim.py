@@ -46,8 +46,5 @@ class RankTrim(NormalSolver):
     def _solved(self, images: Array, lights: Array, weights: Array) -> Solution:
         usable = least_squares.lit(images, weights, self.shadow)
         fewer = robust_fitting.rank_trimmed(images, usable, self.darkest, self.brightest)
-        kept, found = robust_fitting.known_or(
-            (fewer, least_squares.fit(images, lights, fewer, self.condition)),
-            (usable, least_squares.fit(images, lights, usable, self.condition)),
-        )
+        kept, found = robust_fitting.fit_fewer(images, lights, fewer, usable, self.condition)
         return least_squares.solution(images, lights, kept, found)

@@ -109,7 +109,7 @@ class Residual(NormalDetrend):
 
 class Photographed(ImageDetrend):
     name: ClassVar[str] = "reference"
-    needs_flats: ClassVar[bool] = True
+    needs: ClassVar[tuple[str, ...]] = ("flats",)
 
     def plate(self, flats, lights, x, y):
         return flats.copy()

@@ -77,7 +77,7 @@ def test_more_than_four_gigabytes_become_bigtiff(tmp_path):
     # Only the header is written: the rows would follow it.
     shape, path = (21_000, 18_000, 3), tmp_path / "a.tif"
     grid = PixelGrid(*shape[:2], 0.1)
-    export._write_streamed(path, shape, np.dtype(np.float32), iter(()), grid, "normals", None)
+    export.BandTiff(path, shape, np.float32, grid=grid, description="normals").__exit__(None, None, None)
     with tifffile.TiffFile(path) as file:
         assert file.is_bigtiff
         assert file.pages[0].shape == shape

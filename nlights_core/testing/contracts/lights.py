@@ -140,7 +140,7 @@ class ImageDetrendContract(AlgorithmContract):
 
     def plate(self, flats: Array) -> Array:
         """What the algorithm says."""
-        given = flats if self.algorithm.needs_flats else None
+        given = flats if "flats" in self.algorithm.needs else None
         return self.algorithm.plate(given, self.lamps(), self.grid.x(), self.grid.y())
 
     def check_plate(self, plate: Array, where: Array) -> None:
