@@ -26,7 +26,7 @@ from nlights_core.frames import Array
 from nlights_core.images import grey
 from nlights_core.plates import Plate
 
-PIXELS = 50_000
+PIXELS = 30_000
 """About how many pixels are looked at."""
 
 INDEPENDENT = 300
@@ -43,8 +43,11 @@ STRENGTH_PRIOR = 0.01
 HEIGHT_PRIOR = 5.0
 """Standard deviation of the surface's level about the plane of the flat, mm."""
 
-ROUNDS = 4
-REWEIGHTINGS = 5
+ROUNDS = 5
+CLOSE = 0.01
+"""A change of the offset below this, mm, ends the rounds."""
+
+REWEIGHTINGS = 4
 TUNING = 2.385
 """Cauchy's loss with this times the spread keeps 95 % of the efficiency of least squares on clean data."""
 
@@ -132,6 +135,8 @@ def level(room: Darkroom, lights: LightField, plate: Plate, height: Array) -> Le
         change = np.linalg.solve(information, share * right - prior @ state)
         offset = float(np.clip(offset + change[0], -reach, reach))
         logarithms = np.clip(logarithms + change[1:], -0.2, 0.2)
+        if abs(change[0]) < CLOSE:
+            break
     uncertainty = float(np.sqrt(np.linalg.inv(information)[0, 0]))
     return Level(offset, uncertainty, np.exp(logarithms))
 

@@ -54,8 +54,8 @@ def test_noise_beyond_the_stated_is_taken_for_noise_when_there_are_many_lights()
     images, lights, truth = matt(96, 2000, noise=0.02)
     _, robust = reweighted(images, lights)
     plain = least_squares.fit(images, lights, np.ones_like(images), CONDITION)
-    # Tukey's biweight keeps 95 % of the variance's efficiency: 1.026 in the angle.
-    assert mean_error(robust, truth) == pytest.approx(1.026 * mean_error(plain, truth), rel=0.02)
+    # Tukey's biweight keeps 95 % of the efficiency, which is 1 / sqrt(0.95) = 1.026 in the angle.
+    assert mean_error(robust, truth) <= 1.026 * mean_error(plain, truth)
 
 
 @pytest.mark.parametrize("factor", [0.0, 0.4, 3.0])
