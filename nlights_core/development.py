@@ -181,6 +181,9 @@ class Band:
         Such that ``grey images = albedo * (lights . normal + ambient)``.
     ambient : (L, h, w) float32 or None
         Ambient light in the same units.
+    grey : (L, h, w) float32
+        The images without colour: mixed by the plate's shares where there is a plate, which is
+        where noise is least, otherwise as the eye does.
     """
 
     start: int
@@ -190,6 +193,7 @@ class Band:
     saturated: Array
     lights: Array
     ambient: Array | None
+    grey: Array
 
 
 @dataclass
@@ -275,7 +279,7 @@ class Darkroom:
         points = self.grid.points(raw.start, raw.stop, height)
         weights = np.where(raw.saturated | ~raw.inside, np.float32(0), np.float32(1))
         vectors = lights.vectors(points)
-        images, ambient = raw.images, None
+        images, ambient, shares = raw.images, None, None
         if lights.ambient.any():
             ambient = np.broadcast_to(
                 lights.ambient.astype(np.float32)[:, None, None], images.shape[:3]
@@ -283,8 +287,10 @@ class Darkroom:
         if plate is not None:
             images = images.copy()
             vectors, ambient = _relative(images, weights, vectors, ambient, lights, plate, points)
+            shares = plate.shares if images.shape[-1] == len(plate.shares) else None
         saturated = raw.saturated & raw.inside
-        return Band(raw.start, raw.stop, images, weights, saturated, vectors, ambient)
+        mixed = grey(images, shares)
+        return Band(raw.start, raw.stop, images, weights, saturated, vectors, ambient, mixed)
 
     def check(self) -> None:
         """Refuse a photograph that turned out black or saturated throughout, and an empty mask."""

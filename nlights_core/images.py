@@ -325,13 +325,15 @@ def superpixels(mosaic: Array, pattern: str) -> Array:
     return np.stack([samples[pattern.index("R")], green, samples[pattern.index("B")]], axis=-1)
 
 
-def grey(image: Array) -> Array:
+def grey(image: Array, shares: Array | None = None) -> Array:
     """The grey of an image: 0.299 R + 0.587 G + 0.114 B (ITU-R BT.601), or its single channel.
 
     Parameters
     ----------
     image : (..., C) array
         C is 1 or 3.
+    shares : (C,) array, optional
+        Share of each channel, instead of those.
 
     Returns
     -------
@@ -339,6 +341,8 @@ def grey(image: Array) -> Array:
     """
     if image.shape[-1] == 1:
         return image[..., 0]
+    if shares is not None:
+        return np.asarray(image @ shares.astype(image.dtype))
     red, green, blue = (image.dtype.type(weight) for weight in (0.299, 0.587, 0.114))
     return np.asarray(image[..., 0] * red + image[..., 1] * green + image[..., 2] * blue)
 

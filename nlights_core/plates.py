@@ -44,6 +44,16 @@ class Plate:
         """The largest reading of any lamp."""
         return float(np.exp(np.max(self.logarithm)))
 
+    @property
+    def shares(self) -> Array:
+        """Share of each colour channel in the plate's light, (C,) float32.
+
+        Images divided by the plate are best mixed to grey by these shares: with shot noise that
+        is what counting the photons of all channels together would give, whatever the colour.
+        """
+        light = np.exp(self.logarithm).mean(axis=(0, 1, 2))
+        return np.asarray(light / light.sum(), np.float32)
+
     def inside(self, grid: PixelGrid) -> Array:
         """Readings in the frame only, (L, h, w, C) float32: for people to look at."""
         x = self.left + self.step * np.arange(self.logarithm.shape[2])

@@ -18,7 +18,6 @@ from nlights_core.arrays import BandWriter, write_array
 from nlights_core.development import Band, Darkroom
 from nlights_core.fields import LightField
 from nlights_core.frames import Array
-from nlights_core.images import grey
 from nlights_core.plates import Plate
 from nlights_core.store import Progress
 from nlights_core.verification import checked_solution
@@ -92,7 +91,7 @@ def solve(
             out["albedo"].write(coloured_albedo(band.images, shading, found.weights))
             out["apparent"].write(_apparent(band))
             out["confidence"].write(found.confidence)
-            out["residual"].write(relative_residual(band.images, shading, found))
+            out["residual"].write(relative_residual(band.grey, shading, found))
             out["used"].write(_count(found.weights > 0))
             out["saturated"].write(_count(band.saturated))
             out["shadow"].write(_count(_shadowed(band)))
@@ -102,7 +101,7 @@ def solve(
 
 def _solved(solver: NormalSolver, band: Band) -> Solution:
     """Solve a band; where there is ambient light, subtract its share and solve again."""
-    images = grey(band.images)
+    images = band.grey
     found = checked_solution(solver, solver.solve(images, band.lights, band.weights), images.shape)
     if band.ambient is not None:
         for _ in range(AMBIENT_ROUNDS):
@@ -154,7 +153,7 @@ def relative_residual(images: Array, shading: Array, found: Solution) -> Array:
     squares = np.zeros(found.albedo.shape, np.float32)
     total = np.zeros(found.albedo.shape, np.float32)
     for image, s, w in zip(images, shading, found.weights, strict=True):
-        missed = np.where(w > 0, grey(image) - found.albedo * s, np.float32(0))
+        missed = np.where(w > 0, image - found.albedo * s, np.float32(0))
         squares += w * missed**2
         total += w
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -169,7 +168,7 @@ def _apparent(band: Band) -> Array:
 
 def _shadowed(band: Band) -> Array:
     """Usable samples below `SHADOW` of the pixel's brightest, whatever the solver did with them."""
-    images = grey(band.images)
+    images = band.grey
     brightest = np.max(np.where(band.weights > 0, images, np.float32(0)), axis=0)
     return np.asarray((band.weights > 0) & (images < SHADOW * brightest))
 
