@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -11,8 +12,9 @@ import numpy as np
 from nlights_core import pictures, plots
 from nlights_core.export import block_means, srgb
 from nlights_core.frames import Array, PixelGrid
+from nlights_core.map_statistics import bias_angle, extremes, unevenness
 from nlights_core.pictures import Picture, Tick
-from nlights_core.quality import bias_angle, extremes
+from nlights_core.quality import figure_of
 
 DETAIL = 640
 """Longest side of the detail that is shown pixel by pixel."""
@@ -28,33 +30,6 @@ class Chapter:
     pictures: tuple[Picture, ...]
 
 
-def figure_of(value: float | None) -> str:
-    r"""A value with three significant digits, as a person writes it.
-
-    Examples
-    --------
-    >>> [figure_of(v) for v in (None, 0.0, 98.123, 0.01234, 11656.0)]
-    ['not measured', '0', '98.1', '0.0123', '11\u202f656']
-    """
-    if value is None or not np.isfinite(value):
-        return "not measured"
-    if value == 0:
-        return "0"
-    if abs(value) >= 1000:
-        text = f"{value:,.0f}".replace(",", "\u202f")
-    elif abs(value) < 1e-4:
-        digits, power = f"{value:.1e}".split("e")
-        text = f"{digits} \N{MULTIPLICATION SIGN} 10^{int(power)}"
-    else:
-        text = f"{value:.{max(0, 2 - int(np.floor(np.log10(abs(value)))))}f}"
-    return text.replace("-", "\N{MINUS SIGN}")
-
-
-def _height_unit(spread: float, grid: PixelGrid) -> tuple[float, str]:
-    """Factor and unit in which heights of some spread read well."""
-    return (1000.0, "µm") if grid.unit == "mm" and spread < 1 else (1.0, grid.unit)
-
-
 def _grey_mean(array: Array) -> Array:
     """Mean over the channels of (h, w) or (h, w, C)."""
     return array if array.ndim == 2 else np.asarray(array.mean(axis=2))
@@ -64,6 +39,16 @@ def _albedo_colours(albedo: Array) -> Array:
     """Reduced albedo (h, w[, C]) as sRGB colours, hatched where not known."""
     code = (srgb(albedo) * 255 + 0.5).astype(np.uint8).reshape(*albedo.shape[:2], -1)
     return pictures.hatch(np.broadcast_to(code, (*code.shape[:2], 3)), np.isfinite(_grey_mean(albedo)))
+
+
+def albedo_scale(white: float | None) -> str:
+    """What the albedo counts from, given the stated reflectance of the white reference (None: there was none)."""
+    if white is None:
+        return "Relative: there was no white reference, so only ratios within this tile count."
+    return (
+        "Absolute: the share of the light that it reflects, 1 being a perfect diffuser, as far as the white "
+        f"reference has its stated reflectance of {white:g}."
+    )
 
 
 def _exposure(albedo: Array | None) -> float:
@@ -89,6 +74,19 @@ class Views:
         """The reduced map, None where there is none."""
         return block_means(self.maps[name], self.factor) if name in self.maps else None
 
+    @cached_property
+    def height(self) -> Array | None:
+        """The reduced height, None where there is none."""
+        return self.of("height")
+
+    @cached_property
+    def height_unit(self) -> tuple[float, str]:
+        """What heights are multiplied by in this report, and their unit then: µm where the relief is flat."""
+        if self.grid.unit == "px":
+            return 1.0, "pixels"
+        low, high = (0.0, 1.0) if self.height is None else pictures.robust_range(self.height)
+        return (1000.0, "µm") if high - low < 1 else (1.0, self.grid.unit)
+
     def edges(self) -> tuple[tuple[Tick, ...], tuple[Tick, ...]]:
         """Labels along the lower and the left edge of a map, in the plane frame."""
         left = float(self.grid.x()[0]) - self.grid.pixel_size / 2
@@ -99,9 +97,9 @@ class Views:
         )
 
 
-def _surface(views: Views) -> Iterable[Picture]:
+def _surface(views: Views, white: float | None) -> Iterable[Picture]:
     """What the surface looks like and how high it is."""
-    albedo, normals, height = (views.of(name) for name in ("albedo", "normals", "height"))
+    albedo, normals, height = views.of("albedo"), views.of("normals"), views.height
     exposure = _exposure(albedo)
     if albedo is not None:
         brightened = (
@@ -109,8 +107,8 @@ def _surface(views: Views) -> Iterable[Picture]:
         )
         yield Picture(
             "Albedo",
-            "The colour of the surface itself, without light and shade: what share of the light it reflects. "
-            f"Shown in sRGB, clipped to 0 and 1.{brightened}",
+            f"The colour of the surface itself, without light and shade. {albedo_scale(white)} Shown in sRGB, "
+            f"clipped to 0 and 1.{brightened}",
             "Colour view of the artwork without shading",
             pictures.encode(_albedo_colours(albedo * np.float32(exposure))),
             scale=views.scale,
@@ -187,16 +185,14 @@ def _height(views: Views, height: Array) -> Iterable[Picture]:
     """The height map with axes, and the two profiles marked on it."""
     grid = views.grid
     low, high = pictures.robust_range(height)
-    factor, unit = _height_unit(high - low, grid)
-    if grid.unit == "px":
-        unit = "pixels"
+    factor, unit = views.height_unit
     image, bar = pictures.coloured(height, (low, high), "viridis", f"Height in {unit}", factor)
     across = 100 * (grid.columns // 2 + 0.5) / (views.columns * views.factor)
     down = 100 * (grid.rows // 2 + 0.5) / (views.rows * views.factor)
     unknown_scale = " Scale not known: heights in pixels." if grid.unit == "px" else ""
     yield Picture(
         "Height",
-        f"Height towards the camera, on axes x and y in {grid.unit}; only differences count. The colours end "
+        f"Height towards the camera, on axes x and y in {grid.unit}; count on differences only. The colours end "
         "at the 0.5th and the 99.5th percentile. Tilt and bow are as measured. The dashed lines are the "
         f"profiles A \N{EN DASH} A\u2032 and B \N{EN DASH} B\u2032 below.{unknown_scale}",
         "Height map in colours from dark blue, low, to yellow, high",
@@ -237,7 +233,7 @@ def _trust(views: Views) -> Iterable[Picture]:
         yield _lights_used(views)
     if confidence is not None:
         image, bar = pictures.coloured(
-            confidence, (0.0, 1.0), "cividis", "Confidence, 0 (unknown) to 1 (all lights agree)"
+            confidence, (0.0, 1.0), "cividis", "Confidence, 0 (unknown) to 1 (certain)"
         )
         yield Picture(
             "Confidence",
@@ -257,9 +253,11 @@ def _trust(views: Views) -> Iterable[Picture]:
         )
         yield Picture(
             "Reflection",
-            "Apparent colour minus albedo, mean of the colours: red where gloss adds light, blue where light "
-            "is missing.",
-            "Map of reflection, red where light is added and blue where it is missing",
+            "Apparent colour (mean over the lamps) minus albedo, mean of the colours. Gloss shows as red. Slopes "
+            "show as pairs of red and blue, on a matt surface too: on average over the lamps, one side of a "
+            "stroke is lit more than level ground and the other less. Wide patches of one colour: the light is not "
+            "well known.",
+            "Map of reflection, red where the apparent colour is brighter than the albedo, blue where darker",
             image,
             bar=bar,
             scale=views.scale,
@@ -288,7 +286,6 @@ def _lights_used(views: Views) -> Picture:
 
 def _removed(views: Views, lamps: Sequence[str]) -> Iterable[Picture]:
     """What was taken out of the measurement."""
-    grid = views.grid
     if "plate" in views.maps:
         plates = [_grey_mean(np.asarray(p, np.float64)) for p in views.maps["plate"]]
         relative = [p / np.nanmax(p) if np.isfinite(p).any() else p for p in plates]
@@ -297,9 +294,7 @@ def _removed(views: Views, lamps: Sequence[str]) -> Iterable[Picture]:
             name = lamps[i] if i < len(lamps) else f"lamp {i + 1}"
             label = "Share of the brightest place"
             image, bar = pictures.coloured(plate, (min(low, 0.99), 1.0), "cividis", label)
-            known = plate[np.isfinite(plate)]
-            ratio = figure_of(float(known.max() / known.min())) if known.size and known.min() > 0 else None
-            caption = f"Brightest to darkest {ratio or 'not measured'}."
+            caption = f"Brightest to darkest {figure_of(unevenness(views.maps['plate'][i]))}."
             yield Picture(
                 f"Light of {name}", caption, f"Light of {name} on a white plate", image, bar, None, "small"
             )
@@ -307,11 +302,11 @@ def _removed(views: Views, lamps: Sequence[str]) -> Iterable[Picture]:
     if trend is not None:
         lowest, highest = extremes(views.maps["trend"]) or (0.0, 0.0)
         spread = highest - lowest
-        factor, unit = _height_unit(spread, grid)
+        factor, unit = views.height_unit
         ends = pictures.robust_range(trend)
         image, bar = pictures.coloured(trend, ends, "viridis", f"Trend in {unit}", factor)
         caption = (
-            f"Smooth deformation taken out of the height: {figure_of(spread * factor)} {unit} from peak to "
+            f"Smooth deformation taken out of the height: {figure_of(spread * factor, unit)} {unit} from peak to "
             "valley. True bow of the artwork may be part of it; add it back with trend.tif."
         )
         alt = "Map of the trend removed from the height"
@@ -323,7 +318,7 @@ def _removed(views: Views, lamps: Sequence[str]) -> Iterable[Picture]:
         image, bar = pictures.coloured(angle, ends, "magma", "Bias in degrees")
         caption = (
             "Systematic error of the normals, seen on the flat reference and taken out: "
-            f"{figure_of(largest)}° at most."
+            f"{figure_of(largest, '°')}° at most."
         )
         alt = "Map of the bias removed from the normals"
         yield Picture("Bias of the normals", caption, alt, image, bar, views.scale)
@@ -367,12 +362,13 @@ def chapters(views: Views, record: Mapping[str, Any]) -> list[Chapter]:
     views : Views
         The tile's maps.
     record : mapping
-        Of which "lamps" (names) and "lights" (`LightField.record`) are shown.
+        Of which "lamps" (names), "lights" (`LightField.record`) and "white" (reflectance of the white
+        reference) are shown.
     """
     lamps = [str(name) for name in record.get("lamps") or ()]
     removed = tuple(_removed(views, lamps))
     every = [
-        Chapter("surface", "The surface", "", tuple(_surface(views))),
+        Chapter("surface", "The surface", "", tuple(_surface(views, record.get("white")))),
         Chapter(
             "trust",
             "How far to trust it",

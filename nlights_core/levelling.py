@@ -158,7 +158,7 @@ def _sample_rows(room: Darkroom) -> list[tuple[int, int]]:
     """Rows spread over the whole height of the tile."""
     rows, columns = room.grid.shape
     wanted = int(np.clip(PIXELS // columns, min(rows, 24), rows))
-    thickness = max(1, wanted // 48)
+    thickness = max(1, wanted // 16)
     starts = np.linspace(0, rows - thickness, max(1, wanted // thickness)).round().astype(int)
     return [(int(start), int(start) + thickness) for start in dict.fromkeys(starts)]
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nlights_core.frames import Array
+from nlights_core.quality import figure_of
 
 LONGEST = 1200
 """Longest side of a picture, px."""
@@ -223,7 +224,7 @@ def coloured(
 
 
 def counted(counts: Array, most: int, one: str) -> tuple[str, ColourBar]:
-    """A map of whole numbers in one colour each, with the share of each; 0 is hatched.
+    """A map of whole numbers in one colour each, with the shares from 0.05 % on; 0 is hatched.
 
     Parameters
     ----------
@@ -235,10 +236,14 @@ def counted(counts: Array, most: int, one: str) -> tuple[str, ColourBar]:
     """
     from matplotlib import colormaps
 
-    table = (colormaps["cividis"](np.linspace(0, 1, most + 1))[:, :3] * 255 + 0.5).astype(np.uint8)
+    table = (colormaps["plasma"](np.linspace(0, 1, most + 1))[:, :3] * 255 + 0.5).astype(np.uint8)
     share = 100 * np.bincount(np.minimum(counts, most).ravel(), minlength=most + 1) / counts.size
     colours = [NOT_KNOWN, *(f"#{bytes(row).hex()}" for row in table[1:])]
-    swatches = tuple((colours[i], f"{i}: {share[i]:.1f} %") for i in range(most + 1) if share[i] > 0)
+    swatches = tuple(
+        (colours[i], f"{i}: {figure_of(float(share[i]), '% of pixels')} %")
+        for i in range(most + 1)
+        if share[i] >= 0.05
+    )
     picture = hatch(table[np.minimum(counts, most)], counts > 0)
     return encode(picture, lossless=True), ColourBar(one, swatches=swatches)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -39,12 +40,12 @@ class Plate:
     top: float
     step: float
 
-    @property
+    @cached_property
     def brightest(self) -> float:
         """The largest reading of any lamp."""
         return float(np.exp(np.max(self.logarithm)))
 
-    @property
+    @cached_property
     def shares(self) -> Array:
         """Share of each colour channel in the plate's light, (C,) float32.
 

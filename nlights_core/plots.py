@@ -82,10 +82,19 @@ def profiles(height: Array, grid: PixelGrid, scale: float, unit: str) -> str:
 
 
 def light_geometry(lights: Mapping[str, Any], grid: PixelGrid) -> str:
+    """The picture that `draw_lights` draws, as a data URI."""
+    figure = _figure(6.4, 5.6)
+    draw_lights(figure, lights, grid)
+    return _finish(figure)
+
+
+def draw_lights(figure: Figure, lights: Mapping[str, Any], grid: PixelGrid) -> Axes:
     """Top view of the lamps around the field, as the light field's record states them.
 
     Parameters
     ----------
+    figure : Figure
+        Where it is drawn; empty.
     lights : mapping
         `LightField.record`: "lamps" and either "positions" (near) or "directions" (distant).
     grid : PixelGrid
@@ -93,12 +102,11 @@ def light_geometry(lights: Mapping[str, Any], grid: PixelGrid) -> str:
 
     Returns
     -------
-    str
-        Data URI.
+    Axes
+        With the lamps' names as its texts.
     """
     from matplotlib.patches import Circle, Rectangle
 
-    figure = _figure(6.4, 5.6)
     axes = figure.add_subplot()
     near = lights.get("positions") is not None
     places = np.array(lights["positions"] if near else lights["directions"], float)
@@ -126,7 +134,7 @@ def light_geometry(lights: Mapping[str, Any], grid: PixelGrid) -> str:
     across = max(1.5 * np.abs(places[:, 0]).max(), 1.4 * np.abs(places[:, 1]).max(), reach)
     axes.set(xlim=(-across, across), ylim=(-0.85 * across, 0.85 * across), aspect="equal")
     _plain(axes)
-    return _finish(figure)
+    return axes
 
 
 def _label_lamps(axes: Axes, names: Sequence[str], places: Array, notes: Sequence[str]) -> None:
@@ -136,19 +144,16 @@ def _label_lamps(axes: Axes, names: Sequence[str], places: Array, notes: Sequenc
         return
     radius = np.hypot(places[:, 0], places[:, 1])
     for name, place, note, inner in zip(names, places, notes, radius < np.median(radius), strict=True):
-        left, below = place[0] < 0, place[1] < 0
-        # Lamps often stand in pairs, one behind the other: the two names go to different sides.
-        if abs(place[0]) >= abs(place[1]):
-            below = inner
-        else:
-            left = inner
+        # Lamps often stand in pairs, one behind the other: the two names go to different sides of their line.
+        side = -1 if inner else 1
+        beside = abs(place[0]) >= abs(place[1])
         axes.annotate(
             f"{name}\n{note}",
             (place[0], place[1]),
-            (-8 if left else 8, -4 if below else 4),
+            (0, 8 * side) if beside else (8 * side, 0),
             textcoords="offset points",
-            ha="right" if left else "left",
-            va="top" if below else "bottom",
+            ha="center" if beside else "left" if side > 0 else "right",
+            va="center" if not beside else "bottom" if side > 0 else "top",
             fontsize=9,
             color=INK,
             parse_math=False,

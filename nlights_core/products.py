@@ -20,6 +20,7 @@ from nlights_core.capture import Tile
 from nlights_core.errors import TileError
 from nlights_core.frames import Array, PixelGrid
 from nlights_core.levelling import read_level
+from nlights_core.map_statistics import sampled
 from nlights_core.plates import read_plate
 from nlights_core.store import RECORD, ArtefactRef, Progress, Store
 
@@ -28,9 +29,9 @@ FRAME = "plane frame: x right, y up, z from the artwork to the camera; NaN where
 WHAT = {
     "normals.tif": "unit normals x, y, z in the plane frame, float32",
     "normals_opengl.png": "the normals as colours for viewing, 8 bit, OpenGL convention (+Y up)",
-    "albedo.tif": "albedo, float32, linear",
+    "albedo.tif": "albedo, float32, linear; absolute with a white reference, else relative",
     "albedo_view.tif": "the albedo for viewing, 16 bit, sRGB",
-    "reflection.tif": "reflection map: apparent colour minus albedo, float32, linear, signed",
+    "reflection.tif": "reflection map: apparent colour (mean over the lamps) minus albedo, float32, linear, signed",
     "height.tif": "height towards the camera, float32",
     "confidence.tif": "confidence in each normal, float32, 0 (unknown) to 1",
     "trend.tif": "what detrending removed from the height, float32",
@@ -130,7 +131,12 @@ def write_maps(
     export.write_normals_view(folder / "normals_opengl.png", maps["normals"])
     tiff("albedo.tif", albedo_map, f"Albedo; {said}; NaN where not known", icc)
     export.write_albedo_view(folder / "albedo_view.tif", _viewable(albedo_map, white), grid)
-    tiff("reflection.tif", reflection_map, f"Apparent colour minus albedo; {said}; signed", icc)
+    tiff(
+        "reflection.tif",
+        reflection_map,
+        f"Apparent colour (mean over the lamps) minus albedo; {said}; signed",
+        icc,
+    )
     progress(0.7)
     tiff("height.tif", maps["height"], f"Height in {grid.unit}, its constant free; {FRAME}")
     tiff(
@@ -147,7 +153,7 @@ def _viewable(albedo: Array, white: float | None) -> Array:
     """Albedo for viewing: as it is where it is absolute, else its brightest set to 0.9."""
     if white is not None:
         return albedo
-    bright = float(np.nanpercentile(quality.sampled(albedo), 99.5))
+    bright = float(np.nanpercentile(sampled(albedo), 99.5))
     return np.asarray(albedo * np.float32(0.9 / bright)) if bright > 0 else albedo
 
 
@@ -200,7 +206,7 @@ def write_report(
         maps["plate"] = read_plate(made["plate"]).inside(grid)
     if "bias" in made:
         maps["bias"] = read_array(made["bias"] / "bias.npy")
-    numbers = quality.measure(maps, grid)
+    numbers = quality.measure(maps, grid, tile.lamps)
     if height.stage == "level":
         numbers += quality.of_level(read_level(store.path(height)))
     provenance = {
@@ -224,6 +230,8 @@ def write_report(
             "tile": tile.name,
             "origin_mm": list(tile.origin_mm),
             "stand": tile.stand.name if tile.stand else None,
+            "uncertainty_mm": tile.stand.uncertainty_mm if tile.stand else None,
+            "white": json.loads((made["maps"] / RECORD).read_text())["facts"]["white_reflectance"],
             "recipe": record["facts"]["recipe"],
             "lamps": list(tile.lamps),
             "lights": json.loads((made["lights"] / "lights.json").read_text()),

@@ -1,25 +1,40 @@
-"""Numbers that say how far a tile's measurement can be trusted: none of them is a verdict.
-
-Means, shares and extremes are taken over every pixel, by bands of rows; medians and percentiles
-over a regular sample of at most `SAMPLE` pixels.
-"""
+"""Numbers that say how far a tile's measurement can be trusted: none of them is a verdict."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from nlights_core.export import bands
-from nlights_core.fields import NormalField
 from nlights_core.frames import Array, PixelGrid
+from nlights_core.map_statistics import (
+    best_plane,
+    bias_angle,
+    extremes,
+    mean_of,
+    misclosure,
+    sampled,
+    unevenness,
+)
 
 if TYPE_CHECKING:
     from nlights_core.levelling import Level
 
-SAMPLE = 2_000_000
+NOT_MEASURED = "not measured"
+NOT_IN_RECIPE = "not in this recipe"
+
+FINEST = {
+    "°": 0.01,
+    "%": 0.01,
+    "% of pixels": 0.01,
+    "% of albedo": 0.01,
+    "mm": 0.001,
+    "µm": 0.01,
+    "px": 0.001,
+}
+"""By unit, the smallest step that a person should read; smaller digits are arithmetic, not measurement."""
 
 
 @dataclass(frozen=True)
@@ -33,11 +48,14 @@ class Number:
     name : str
         What it is.
     value : float or None
-        None: not measured.  That is never a pass.
+        None: there is none.  That is never a pass.
     unit : str
         Unit of the value.
     meaning : str
         What it tells, in one plain sentence.
+    missing : str
+        What is to be said where there is no value: `NOT_MEASURED`, or `NOT_IN_RECIPE` where no step
+        of the recipe could have given one.
     """
 
     group: str
@@ -45,135 +63,42 @@ class Number:
     value: float | None
     unit: str
     meaning: str
+    missing: str = NOT_MEASURED
 
 
-def mean_of(array: Array, of: Callable[[Array], Any] | None = None) -> float | None:
-    """Mean over what is known, by bands of rows.
+def figure_of(value: float | None, unit: str = "") -> str:
+    r"""A value with three significant digits, as a person writes it, and none finer than `FINEST`.
 
-    Parameters
-    ----------
-    array : (H, W, ...) array
-        NaN where not known.
-    of : callable, optional
-        What is averaged, computed from each band; the band itself if absent.
+    Examples
+    --------
+    >>> [figure_of(v) for v in (None, 0.0, 98.123, 0.01234, 11656.0)]
+    ['not measured', '0', '98.1', '0.0123', '11\u202f656']
+    >>> [figure_of(v, "°") for v in (0.00042, 0.01234, 1.2345)]
+    ['< 0.01', '0.01', '1.23']
 
-    Returns
-    -------
-    float or None
-        None where nothing is known.
+    Not quite all is not all:
+
+    >>> [figure_of(v, "% of pixels") for v in (99.997, 100.0)]
+    ['> 99.9', '100']
     """
-    total, count = 0.0, 0
-    for band in bands(array.shape[0], array[:1].nbytes):
-        values = np.asarray(array[band] if of is None else of(array[band]))
-        known = np.isfinite(values)
-        total += float(np.sum(values, where=known, dtype=np.float64))
-        count += int(known.sum())
-    return total / count if count else None
-
-
-def extremes(array: Array, of: Callable[[Array], Any] | None = None) -> tuple[float, float] | None:
-    """Smallest and largest known value, by bands of rows.
-
-    Parameters
-    ----------
-    array : (H, W, ...) array
-        NaN where not known.
-    of : callable, optional
-        Whose extremes, computed from each band; the band itself if absent.
-
-    Returns
-    -------
-    (low, high) or None
-        None where nothing is known.
-    """
-    low, high = np.inf, -np.inf
-    for band in bands(array.shape[0], array[:1].nbytes):
-        values = np.asarray(array[band] if of is None else of(array[band]))
-        known = np.isfinite(values)
-        low = min(low, float(np.min(values, where=known, initial=np.inf)))
-        high = max(high, float(np.max(values, where=known, initial=-np.inf)))
-    return (low, high) if low <= high else None
-
-
-def bias_angle(bias: Array) -> Array:
-    """Angle by which a difference of unit vectors (..., 3) turns a normal, degrees (...)."""
-    length = np.sqrt((np.asarray(bias, np.float64) ** 2).sum(axis=-1))
-    return np.asarray(np.degrees(2 * np.arcsin(np.minimum(1, length / 2))))
-
-
-def sampled(array: Array) -> Array:
-    """Known values on a regular lattice of at most about `SAMPLE` pixels, (N,) float64."""
-    step = max(1, int(np.ceil(np.sqrt(array.shape[0] * array.shape[1] / SAMPLE))))
-    values = np.asarray(array[::step, ::step], np.float64)
-    return values[np.isfinite(values)]
-
-
-def misclosure(normals: Array, grid: PixelGrid) -> float | None:
-    """How badly heights fail to close on a walk once round a pixel: the curl of the slopes.
-
-    With the height steps p per column and q per row (`NormalField.gradient`), each 2 x 2 of known
-    pixels gives, by the trapezoid rule,
-
-        m = (p00 + p01) / 2 + (q01 + q11) / 2 - (p10 + p11) / 2 - (q00 + q10) / 2
-
-    It is 0 for the slopes of any smooth height, so noise, wrong lights, interreflections and steps
-    show in it, while a bias that is itself the slope of some surface (a bowl) does not.
-
-    Parameters
-    ----------
-    normals : (H, W, 3) float32 array
-        NaN where not known.
-    grid : PixelGrid
-        Its pixel size and unit.
-
-    Returns
-    -------
-    float or None
-        Root mean square of m in the grid's unit; None where no 2 x 2 pixels are known.
-    """
-    total, count = 0.0, 0
-    for band in bands(grid.rows, 3 * normals[:1].nbytes):
-        p, q = NormalField(normals[band.start : band.stop + 1], grid).gradient()
-        across, down = p[:, :-1] + p[:, 1:], q[:-1] + q[1:]
-        m = (across[:-1] - across[1:] + down[:, 1:] - down[:, :-1]).astype(np.float64) / 2
-        known = np.isfinite(m)
-        total += float(np.sum(m**2, where=known))
-        count += int(known.sum())
-    return float(np.sqrt(total / count)) if count else None
-
-
-def best_plane(height: Array, grid: PixelGrid) -> tuple[float, float, float] | None:
-    """Least-squares plane ``z = a x + b y + c`` of a height map.
-
-    Parameters
-    ----------
-    height : (H, W) float32 array
-        NaN where not known.
-    grid : PixelGrid
-        Where the pixels are.
-
-    Returns
-    -------
-    (a, b, c) or None
-        Slopes (dimensionless) and offset (the grid's unit); None where fewer than three pixels
-        that are not on a line are known.
-    """
-    matrix, right = np.zeros((3, 3)), np.zeros(3)
-    x = grid.x()
-    for band in bands(grid.rows, 8 * height[:1].nbytes):
-        z = np.asarray(height[band], np.float64)
-        known = np.isfinite(z)
-        weight, z = known.astype(np.float64), np.where(known, z, 0)
-        y = grid.y(band.start, band.stop)
-        columns, rows = weight.sum(axis=0), weight.sum(axis=1)
-        xx, xy, yy = columns @ x**2, y @ weight @ x, rows @ y**2
-        sx, sy, n = columns @ x, rows @ y, rows.sum()
-        matrix += np.array([[xx, xy, sx], [xy, yy, sy], [sx, sy, n]])
-        right += np.array([z.sum(axis=0) @ x, z.sum(axis=1) @ y, z.sum()])
-    if np.linalg.matrix_rank(matrix / np.max(np.abs(matrix), initial=1.0)) < 3:
-        return None
-    a, b, c = np.linalg.solve(matrix, right)
-    return float(a), float(b), float(c)
+    if value is None or not np.isfinite(value):
+        return NOT_MEASURED
+    if value == 0:
+        return "0"
+    finest, size = FINEST.get(unit, 0.0), abs(value)
+    decimals = max(0, 2 - int(np.floor(np.log10(size))))
+    if size < finest:
+        text = f"< {finest:g}" if value > 0 else f"> -{finest:g}"
+    elif unit == "% of pixels" and 99.95 <= value < 100:
+        text = "> 99.9"
+    elif size >= 1000:
+        text = f"{value:,.0f}".replace(",", "\u202f")
+    elif size < 1e-4:
+        digits, power = f"{value:.1e}".split("e")
+        text = f"{digits} \N{MULTIPLICATION SIGN} 10^{int(power)}"
+    else:
+        text = f"{value:.{min(decimals, round(-np.log10(finest))) if finest else decimals}f}"
+    return text.replace("-", "\N{MINUS SIGN}")
 
 
 def _surface(maps: Mapping[str, Array], grid: PixelGrid) -> list[Number]:
@@ -325,24 +250,26 @@ def _lights(maps: Mapping[str, Array]) -> list[Number]:
     ]
 
 
-def _removed(maps: Mapping[str, Array], grid: PixelGrid) -> list[Number]:
+def _removed(maps: Mapping[str, Array], grid: PixelGrid, lamps: Sequence[str]) -> list[Number]:
     """Amplitudes of what was removed, so that it can be judged and added back."""
     group = "Removed"
+    absent = {name: NOT_MEASURED if name in maps else NOT_IN_RECIPE for name in ("plate", "trend", "bias")}
+    names = ["Uneven light"]
     ratios: list[float | None] = [None]
     if "plate" in maps:
-        ratios = []
-        for reading in maps["plate"]:
-            values = reading[np.isfinite(reading) & (reading > 0)]
-            ratios.append(float(values.max() / values.min()) if values.size else None)
+        ratios = [unevenness(reading) for reading in maps["plate"]]
+        numbered = [f"lamp {i} of {len(ratios)}" for i in range(1, len(ratios) + 1)]
+        names = [f"Uneven light, {lamp}" for lamp in (*lamps[: len(ratios)], *numbered[len(lamps) :])]
     numbers = [
         Number(
             group,
-            "Uneven light" if ratios == [None] else f"Uneven light, lamp {i} of {len(ratios)}",
+            name,
             ratio,
             "brightest / darkest",
             "What a flat white plate reads under this lamp, and the photographs were divided by.",
+            absent["plate"],
         )
-        for i, ratio in enumerate(ratios, start=1)
+        for name, ratio in zip(names, ratios, strict=True)
     ]
     trend = angle = None
     if "trend" in maps and (ends := extremes(maps["trend"])):
@@ -357,6 +284,7 @@ def _removed(maps: Mapping[str, Array], grid: PixelGrid) -> list[Number]:
             trend,
             grid.unit,
             "Smooth deformation taken out of the height; true bow of the artwork may be part of it.",
+            absent["trend"],
         ),
         Number(
             group,
@@ -364,11 +292,12 @@ def _removed(maps: Mapping[str, Array], grid: PixelGrid) -> list[Number]:
             angle,
             "°",
             "Largest systematic error seen on the flat reference and taken out of the normals.",
+            absent["bias"],
         ),
     ]
 
 
-def measure(maps: Mapping[str, Array], grid: PixelGrid) -> list[Number]:
+def measure(maps: Mapping[str, Array], grid: PixelGrid, lamps: Sequence[str] = ()) -> list[Number]:
     """Every number of the report, in its order.
 
     Parameters
@@ -377,16 +306,19 @@ def measure(maps: Mapping[str, Array], grid: PixelGrid) -> list[Number]:
         What is there of "normals" (H, W, 3), "height" (H, W), "albedo" (H, W, C), "residual" and
         "confidence" (H, W), "used", "saturated" and "shadow" (H, W) counts of lights, "plate"
         (L, h, w, C), "frames" (L, ...), "trend" (H, W) and "bias" (H, W, 3).  NaN where not known.
+        Without "plate", "trend" or "bias" the recipe had no step that makes one.
     grid : PixelGrid
         Where the pixels are.
+    lamps : sequence of str
+        Their names, in the order of "plate"; they are numbered where there are none.
 
     Returns
     -------
     list of Number
         The same quantities whatever is there (the uneven light once per lamp); the value is None
-        where it could not be measured.
+        where it could not be measured, and `Number.missing` says why.
     """
-    return [*_lights(maps), *_fit(maps, grid), *_surface(maps, grid), *_removed(maps, grid)]
+    return [*_lights(maps), *_fit(maps, grid), *_surface(maps, grid), *_removed(maps, grid, lamps)]
 
 
 def of_level(level: Level) -> list[Number]:
@@ -396,23 +328,24 @@ def of_level(level: Level) -> list[Number]:
     return [
         Number(
             "Level",
-            "Level found, against mean 0",
+            "Height added to the mean level",
             level.offset if found else None,
             "mm",
-            "What was added so that heights are above the plane of the flat reference.",
+            "Found in the photographs, so that heights count from the plane of the flat reference.",
         ),
         Number(
             "Level",
             "Uncertainty of the level",
             level.uncertainty,
             "mm",
-            "Standard deviation; not measured where gloss hides the level.",
+            "Standard deviation of the number above; not measured where gloss hides the level.",
         ),
         Number(
             "Level",
             "Drift of the lamps since the flats",
             drift if found else None,
             "%",
-            "Strongest against weakest; it was corrected. Above 2 %, photograph the flats again.",
+            "Strongest against weakest; it was corrected, and counts as 0 where the flats are no better "
+            "known. Above 2 %, photograph the flats again.",
         ),
     ]

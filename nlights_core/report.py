@@ -7,9 +7,9 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from nlights_core.chapters import Views, chapters, figure_of
+from nlights_core.chapters import Views, chapters
 from nlights_core.frames import Array, PixelGrid
-from nlights_core.quality import Number
+from nlights_core.quality import Number, figure_of
 
 
 def _length(value: float) -> str:
@@ -33,11 +33,14 @@ def _facts(record: Mapping[str, Any], grid: PixelGrid) -> list[tuple[str, str]]:
     else:
         facts.append(("Field", pixels))
         facts.append(("Pixel size", "scale not known: heights in pixels"))
+    stand = str(record.get("stand") or "not stated")
+    if uncertainty := record.get("uncertainty_mm"):
+        stand += f", positions known to \N{PLUS-MINUS SIGN} {_length(uncertainty)} mm"
     camera = "seen straight on everywhere (orthographic)"
     if grid.camera is not None:
         camera = f"{_length(grid.camera[2])} {unit} from the plane of the artwork"
     facts += [
-        ("Stand", str(record.get("stand") or "not stated")),
+        ("Stand", stand),
         ("Camera", camera),
         ("Lamps", str(len(record.get("lamps") or ())) if record.get("lamps") else "not stated"),
         (
@@ -72,9 +75,10 @@ def write_report(
         File to write.
     record : mapping
         What is known of the tile, every key optional: "artwork", "title", "tile", "origin_mm" (x, y),
-        "stand", "recipe" (nested mapping), "lamps" (names), "lights" (`LightField.record`),
-        "version", "files" (each "name", "bytes", "what"), "mesh" ("glb": what `meshes.write_glb`
-        returned) and "key".
+        "stand", "uncertainty_mm" (of a position, per axis), "white" (reflectance of the white reference
+        that makes the albedo absolute; None: relative), "recipe" (nested mapping), "lamps" (names),
+        "lights" (`LightField.record`), "version", "files" (each "name", "bytes", "what"), "mesh"
+        ("glb": what `meshes.write_glb` returned) and "key".
     maps : mapping of str to array
         What is there of "albedo" (H, W, C), "normals" (H, W, 3), "height", "confidence", "residual"
         (H, W), "used" (H, W) integers, "reflection" (H, W, C), "plate" (L, h, w, C), "trend" (H, W),
@@ -105,12 +109,14 @@ def write_report(
         lstrip_blocks=True,
     )
     views = Views(maps, grid)
-    groups = [(name, list(rows)) for name, rows in groupby(numbers, key=lambda n: n.group)]
+    rows = [(number, *_shown(number, views)) for number in numbers]
+    groups = [(name, list(group)) for name, group in groupby(rows, key=lambda row: row[0].group)]
     recipe = record.get("recipe")
     page = environment.get_template("report.html.j2").render(
         title=record.get("title") or record.get("artwork") or "Artwork",
         glb=(record.get("mesh") or {}).get("glb"),
         record={"artwork": "", "tile": "", "version": "", "key": "", "files": (), **record},
+        uncertainty=_length(record["uncertainty_mm"]) if record.get("uncertainty_mm") else "",
         facts=_facts(record, grid),
         chapters=chapters(views, record),
         groups=groups,
@@ -120,9 +126,18 @@ def write_report(
         unit=grid.unit,
         factor=views.factor,
         figure_of=figure_of,
+        height_unit=views.height_unit,
         size_of=_bytes,
     )
     Path(path).write_text(page, encoding="utf-8", newline="\n")
+
+
+def _shown(number: Number, views: Views) -> tuple[str, str]:
+    """A number and its unit as the table shows them: heights in the unit of the pictures."""
+    if number.value is None:
+        return number.missing, number.unit
+    factor, unit = views.height_unit if number.unit == "mm" else (1.0, number.unit)
+    return figure_of(number.value * factor, unit), unit
 
 
 def _lamp_rows(lights: Mapping[str, Any]) -> list[tuple[str, list[str]]]:

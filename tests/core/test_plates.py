@@ -48,7 +48,7 @@ def test_past_the_frame_it_is_right_to_a_few_percent_and_farther_out_of_the_righ
     near = x * 0 + np.sign(x) * 255
     truth = lights.vectors(np.stack([near, y, 0 * x]))[..., 2]
     for i in range(8):
-        np.testing.assert_allclose(plate.at(i, near, y)[..., 0], truth[i], rtol=0.03)
+        np.testing.assert_allclose(plate.at(i, near, y)[..., 0], truth[i], rtol=0.05)
 
 
 def test_read_along_the_lamps_ray_the_emission_cancels_at_any_height():

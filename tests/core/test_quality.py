@@ -5,9 +5,11 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from nlights_core import export, quality
+from nlights_core import export, map_statistics
 from nlights_core.frames import PixelGrid
-from nlights_core.quality import best_plane, bias_angle, extremes, measure, misclosure
+from nlights_core.levelling import Level
+from nlights_core.map_statistics import best_plane, bias_angle, extremes, misclosure, unevenness
+from nlights_core.quality import Number, figure_of, measure, of_level
 
 GRID = PixelGrid(60, 80, 0.5)
 
@@ -112,6 +114,8 @@ def test_what_was_removed_is_stated_with_its_amplitude():
     numbers = measure({"plate": plate, "trend": trend, "bias": bias}, GRID)
     assert value(numbers, "Uneven light, lamp 1 of 2") == pytest.approx(3)
     assert value(numbers, "Uneven light, lamp 2 of 2") == pytest.approx(2)
+    named = measure({"plate": plate}, GRID, ("Relio_1", "Relio_2"))
+    assert value(named, "Uneven light, Relio_2") == pytest.approx(2)
     assert value(numbers, "Trend of the height, peak to valley") == pytest.approx(0.75)
     assert value(numbers, "Bias of the normals, largest") == pytest.approx(2, rel=1e-3)
 
@@ -120,6 +124,48 @@ def test_what_was_not_measured_has_no_value_rather_than_a_good_one():
     for number in measure({}, GRID):
         assert number.value is None, number.name
         assert all((number.unit, number.meaning, number.group))
+
+
+def test_a_step_that_the_recipe_lacks_is_told_from_one_that_found_nothing():
+    nothing = {
+        "plate": np.full((1, 3, 4, 1), np.nan, np.float32),
+        "trend": np.full(GRID.shape, np.nan, np.float32),
+        "bias": np.full((*GRID.shape, 3), np.nan, np.float32),
+    }
+    for maps, said in (({}, "not in this recipe"), (nothing, "not measured")):
+        removed = [n for n in measure(maps, GRID) if n.group == "Removed"]
+        assert [(n.value, n.missing) for n in removed] == [(None, said)] * 3
+    assert Number("Light", "Glow", None, "%", "Nothing.").missing == "not measured"
+
+
+def test_the_level_is_a_number_only_where_it_was_found():
+    found = of_level(Level(0.02, 0.04, np.array([1.01, 0.99, 1.0])))
+    assert [n.value for n in found] == pytest.approx([0.02, 0.04, 2.0])
+    hidden = of_level(Level(0.0, None, np.ones(3)))
+    assert [(n.value, n.missing) for n in hidden] == [(None, "not measured")] * 3
+
+
+@pytest.mark.parametrize(
+    ("number", "unit", "text"),
+    [
+        (0.000420, "°", "< 0.01"),
+        (-0.000420, "mm", "> \N{MINUS SIGN}0.001"),
+        (0.000800, "%", "< 0.01"),
+        (0.0294, "mm", "0.029"),
+        (99.9999, "% of pixels", "> 99.9"),
+        (99.94, "% of pixels", "99.9"),
+        (1.7679, "°", "1.77"),
+        (0.000420, "", "0.000420"),
+    ],
+)
+def test_no_digit_is_shown_that_means_nothing(number, unit, text):
+    assert figure_of(number, unit) == text
+
+
+def test_a_plate_is_as_uneven_as_the_mean_of_its_colours():
+    reading = np.array([[[1.0, 3.0], [4.0, 8.0], [np.nan, 100.0], [0.0, 0.0]]])
+    assert unevenness(reading) == pytest.approx(3)
+    assert unevenness(np.zeros((2, 2, 3))) is None
 
 
 def test_maps_without_a_known_pixel_give_no_numbers():
@@ -159,7 +205,7 @@ def test_numbers_do_not_depend_on_how_the_bands_fall(monkeypatch):
 
 def test_memory_follows_the_band_not_the_image(tmp_path, monkeypatch):
     monkeypatch.setattr(export, "BAND_BYTES", 1 << 20)
-    monkeypatch.setattr(quality, "SAMPLE", 100_000)
+    monkeypatch.setattr(map_statistics, "SAMPLE", 100_000)
     grid = PixelGrid(2000, 1500, 0.1)
     normals = np.memmap(tmp_path / "n", np.float32, "w+", shape=(*grid.shape, 3))  # 36 MB
     normals[..., 2] = 1

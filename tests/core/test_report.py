@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from nlights_core import chapters, pictures
-from nlights_core.chapters import figure_of
+from nlights_core import chapters, pictures, plots
+from nlights_core.configurations import load_stand
 from nlights_core.fields import LightField
 from nlights_core.frames import PixelGrid
-from nlights_core.quality import Number, measure
+from nlights_core.quality import Number, figure_of, measure
 from nlights_core.report import write_report
 
 LAMPS = ("Relio_1", "Relio_2", "Relio_3")
@@ -55,6 +55,8 @@ def tile(rows=48, columns=64, channels=3, known=1.0, unit="mm"):
         "tile": "r0c0",
         "origin_mm": [250.0, -187.5],
         "stand": "horizontal",
+        "uncertainty_mm": 2.5,
+        "white": 0.9,
         "recipe": {"normals": {"use": "robust"}, "passes": 2},
         "lamps": list(LAMPS),
         "lights": LightField(LAMPS, positions=POSITIONS).record(),
@@ -147,8 +149,10 @@ def test_every_number_stands_with_its_unit_and_meaning(tmp_path):
     rows = re.findall(r"<tr><th scope=\"row\">(.*?)</tr>", page.text)
     for number in numbers:
         (row,) = (r for r in rows if r.startswith(html.escape(number.name) + "</th>"))
-        assert html.escape(number.unit) in row
-        assert figure_of(number.value) in row
+        factor, unit = (1000, "µm") if number.unit == "mm" else (1, number.unit)  # the pictures' unit
+        assert html.escape(unit) in row
+        value = None if number.value is None else number.value * factor
+        assert html.escape(figure_of(value, unit)) in row
         assert html.escape(number.meaning).replace("&#x27;", "&#39;") in row
 
 
@@ -156,6 +160,39 @@ def test_what_was_not_measured_says_so(tmp_path):
     record, maps, grid = tile()
     page = written(tmp_path, record, maps, grid, [Number("Light", "Glow", None, "%", "Nothing.")])
     assert re.search(r"Glow.*?missing.*?not measured", page.text)
+    del maps["trend"]
+    page = written(tmp_path, record, maps, grid)
+    assert re.search(r"Trend of the height.*?missing.*?not in this recipe", page.text)
+
+
+def test_heights_have_one_unit_in_pictures_and_numbers(tmp_path):
+    record, maps, grid = tile()
+    assert re.search(
+        r"Height range</th><td class=\"number\">[34]\d\d</td><td class=\"unit\">µm",
+        written(tmp_path, record, maps, grid).text,
+    )
+    maps["height"] *= 10
+    page = written(tmp_path, record, maps, grid)
+    assert "Height in mm" in page.read()
+    assert re.search(r"Height range</th><td class=\"number\">[34].\d\d</td><td class=\"unit\">mm", page.text)
+
+
+def test_pictures_and_numbers_agree_on_uneven_light(tmp_path):
+    record, maps, grid = tile()
+    page = written(tmp_path, record, maps, grid, measure(maps, grid, LAMPS))
+    below = re.findall(r"Brightest to darkest (.*?)\.</figcaption>", page.text)
+    listed = re.findall(r"Uneven light, Relio_\d</th><td class=\"number\">(.*?)</td>", page.text)
+    assert len(below) == 3
+    assert below == listed
+
+
+def test_the_albedo_says_what_it_counts_from(tmp_path):
+    record, maps, grid = tile()
+    assert "stated reflectance of 0.9" in written(tmp_path, record, maps, grid).read()
+    record["white"] = None
+    words = written(tmp_path, record, maps, grid).read()
+    assert "Relative: there was no white reference" in words
+    assert "perfect diffuser" not in words
 
 
 def test_header_states_artwork_tile_scale_frame_and_provenance(tmp_path):
@@ -175,7 +212,10 @@ def test_header_states_artwork_tile_scale_frame_and_provenance(tmp_path):
         "height.tif",
         "408 MB",
         "610.5",
-        "at most 0.0123 mm and covers 99.9 % of it",
+        "horizontal, positions known to ± 2.5 mm",
+        "uncertainty (positions known to ± 2.5 mm)",
+        "The decimated mesh (mesh.glb)",
+        "at most 12.3 µm and covers 99.9 % of it",
     ):
         assert fact in words, fact
 
@@ -223,6 +263,7 @@ def test_without_a_scale_lengths_are_pixels_and_millimetres_are_not_mentioned(tm
     record, maps, grid = tile(unit="px")
     record |= {
         "origin_mm": None,
+        "uncertainty_mm": None,
         "files": [],
         "mesh": None,
         "lights": LightField(LAMPS, directions=np.eye(3)).record(),
@@ -260,6 +301,40 @@ def test_a_large_tile_is_shown_reduced_and_its_middle_pixel_by_pixel(tmp_path, m
     words = written(tmp_path, *tile()).read()
     assert "the mean of 4 × 4 measured ones" in words
     assert "The middle of the field, 16 × 12 pixels" in words
+
+
+def test_counts_that_hardly_occur_are_not_listed_and_neighbours_differ_plainly():
+    counts = np.full((100, 100), 8)
+    counts[:50] = 7
+    counts[0, :4] = 5
+    counts[0, 4:9] = 6
+    _, bar = pictures.counted(counts, 8, "Lights")
+    assert [text for _, text in bar.swatches] == ["6: 0.05 %", "7: 49.9 %", "8: 50.0 %"]
+    colours = [np.array(list(bytes.fromhex(colour[1:])), int) for colour, _ in bar.swatches]
+    assert min(np.abs(np.diff(colours, axis=0)).max(axis=1)) > 40
+
+
+@pytest.mark.parametrize("name", ["horizontal", "vertical-open", "vertical-dark"])
+def test_on_the_plan_no_lamp_is_hidden_by_a_name_and_no_name_by_another(name):
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    stand = load_stand(name)
+    lights = LightField(tuple(stand.lamps), positions=stand.lamp_positions()).record()
+    figure = Figure((6.4, 5.6), layout="constrained")
+    FigureCanvasAgg(figure).draw()
+    axes = plots.draw_lights(figure, lights, PixelGrid(300, 400, 1.25, tuple(stand.camera_position)))
+    figure.canvas.draw()
+    names = [text.get_window_extent() for text in axes.texts if text.get_text().startswith("Relio")]
+    field = axes.patches[0].get_window_extent()
+    assert len(names) == 8
+    dots = axes.transData.transform(stand.lamp_positions()[:, :2])
+    for i, box in enumerate(names):
+        assert not any(box.overlaps(other) for other in [field, *names[i + 1 :]])
+        near = np.abs(dots - np.clip(dots, box.min, box.max)).max(axis=1)
+        assert near.min() > 5 * figure.dpi / 72, name  # a dot's radius is 4.5 points
+        assert axes.bbox.contains(*box.min)
+        assert axes.bbox.contains(*box.max)
 
 
 def test_raking_light_brightens_slopes_that_face_the_upper_left():

@@ -1,0 +1,154 @@
+"""Statistics of large maps, by bands of rows.
+
+Means, shares and extremes are taken over every pixel; medians and percentiles over a regular sample
+of at most `SAMPLE` pixels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from nlights_core.export import bands
+from nlights_core.fields import NormalField
+from nlights_core.frames import Array, PixelGrid
+
+SAMPLE = 2_000_000
+
+
+def mean_of(array: Array, of: Callable[[Array], Any] | None = None) -> float | None:
+    """Mean over what is known, by bands of rows.
+
+    Parameters
+    ----------
+    array : (H, W, ...) array
+        NaN where not known.
+    of : callable, optional
+        What is averaged, computed from each band; the band itself if absent.
+
+    Returns
+    -------
+    float or None
+        None where nothing is known.
+    """
+    total, count = 0.0, 0
+    for band in bands(array.shape[0], array[:1].nbytes):
+        values = np.asarray(array[band] if of is None else of(array[band]))
+        known = np.isfinite(values)
+        total += float(np.sum(values, where=known, dtype=np.float64))
+        count += int(known.sum())
+    return total / count if count else None
+
+
+def extremes(array: Array, of: Callable[[Array], Any] | None = None) -> tuple[float, float] | None:
+    """Smallest and largest known value, by bands of rows.
+
+    Parameters
+    ----------
+    array : (H, W, ...) array
+        NaN where not known.
+    of : callable, optional
+        Whose extremes, computed from each band; the band itself if absent.
+
+    Returns
+    -------
+    (low, high) or None
+        None where nothing is known.
+    """
+    low, high = np.inf, -np.inf
+    for band in bands(array.shape[0], array[:1].nbytes):
+        values = np.asarray(array[band] if of is None else of(array[band]))
+        known = np.isfinite(values)
+        low = min(low, float(np.min(values, where=known, initial=np.inf)))
+        high = max(high, float(np.max(values, where=known, initial=-np.inf)))
+    return (low, high) if low <= high else None
+
+
+def bias_angle(bias: Array) -> Array:
+    """Angle by which a difference of unit vectors (..., 3) turns a normal, degrees (...)."""
+    length = np.sqrt((np.asarray(bias, np.float64) ** 2).sum(axis=-1))
+    return np.asarray(np.degrees(2 * np.arcsin(np.minimum(1, length / 2))))
+
+
+def unevenness(reading: Array) -> float | None:
+    """Brightest over darkest place of a white plate (h, w, C), by the mean of its colours."""
+    values = np.asarray(reading, np.float64).mean(axis=-1)
+    values = values[np.isfinite(values) & (values > 0)]
+    return float(values.max() / values.min()) if values.size else None
+
+
+def sampled(array: Array) -> Array:
+    """Known values on a regular lattice of at most about `SAMPLE` pixels, (N,) float64."""
+    step = max(1, int(np.ceil(np.sqrt(array.shape[0] * array.shape[1] / SAMPLE))))
+    values = np.asarray(array[::step, ::step], np.float64)
+    return values[np.isfinite(values)]
+
+
+def misclosure(normals: Array, grid: PixelGrid) -> float | None:
+    """How badly heights fail to close on a walk once round a pixel: the curl of the slopes.
+
+    With the height steps p per column and q per row (`NormalField.gradient`), each 2 x 2 of known
+    pixels gives, by the trapezoid rule,
+
+        m = (p00 + p01) / 2 + (q01 + q11) / 2 - (p10 + p11) / 2 - (q00 + q10) / 2
+
+    It is 0 for the slopes of any smooth height, so noise, wrong lights, interreflections and steps
+    show in it, while a bias that is itself the slope of some surface (a bowl) does not.
+
+    Parameters
+    ----------
+    normals : (H, W, 3) float32 array
+        NaN where not known.
+    grid : PixelGrid
+        Its pixel size and unit.
+
+    Returns
+    -------
+    float or None
+        Root mean square of m in the grid's unit; None where no 2 x 2 pixels are known.
+    """
+    total, count = 0.0, 0
+    for band in bands(grid.rows, 3 * normals[:1].nbytes):
+        p, q = NormalField(normals[band.start : band.stop + 1], grid).gradient()
+        across, down = p[:, :-1] + p[:, 1:], q[:-1] + q[1:]
+        m = (across[:-1] - across[1:] + down[:, 1:] - down[:, :-1]).astype(np.float64) / 2
+        known = np.isfinite(m)
+        total += float(np.sum(m**2, where=known))
+        count += int(known.sum())
+    return float(np.sqrt(total / count)) if count else None
+
+
+def best_plane(height: Array, grid: PixelGrid) -> tuple[float, float, float] | None:
+    """Least-squares plane ``z = a x + b y + c`` of a height map.
+
+    Parameters
+    ----------
+    height : (H, W) float32 array
+        NaN where not known.
+    grid : PixelGrid
+        Where the pixels are.
+
+    Returns
+    -------
+    (a, b, c) or None
+        Slopes (dimensionless) and offset (the grid's unit); None where fewer than three pixels
+        that are not on a line are known.
+    """
+    matrix, right = np.zeros((3, 3)), np.zeros(3)
+    x = grid.x()
+    for band in bands(grid.rows, 8 * height[:1].nbytes):
+        z = np.asarray(height[band], np.float64)
+        known = np.isfinite(z)
+        weight, z = known.astype(np.float64), np.where(known, z, 0)
+        y = grid.y(band.start, band.stop)
+        columns, rows = weight.sum(axis=0), weight.sum(axis=1)
+        xx, xy, yy = columns @ x**2, y @ weight @ x, rows @ y**2
+        sx, sy, n = columns @ x, rows @ y, rows.sum()
+        matrix += np.array([[xx, xy, sx], [xy, yy, sy], [sx, sy, n]])
+        right += np.array([z.sum(axis=0) @ x, z.sum(axis=1) @ y, z.sum()])
+    if np.linalg.matrix_rank(matrix / np.max(np.abs(matrix), initial=1.0)) < 3:
+        return None
+    a, b, c = np.linalg.solve(matrix, right)
+    return float(a), float(b), float(c)
