@@ -8,12 +8,13 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from accuracy_subjects import bundled
 from accuracy_tables import Cell, Table, kept
 
+from nlights_core.algorithms import NormalSolver
 from nlights_core.configurations import load_stand
 from nlights_core.manifest import load_capture
 from nlights_core.recipe import Recipe, load_recipe
-from nlights_core.registry import installed
 from nlights_core.store import Store
 from nlights_core.testing.evaluation import evaluate
 from nlights_core.testing.simulation import simulate
@@ -86,10 +87,10 @@ def _judged(case: Case, errors: list[Error]) -> tuple[Cell, ...]:
         case.title,
         degrees,
         case.degrees,
-        kept(degrees, case.degrees),
+        kept(degrees <= case.degrees),
         millimetres,
         case.millimetres,
-        kept(millimetres, case.millimetres),
+        kept(millimetres <= case.millimetres),
         str(len(errors)),
     )
 
@@ -124,5 +125,5 @@ def _errors(case: Case, width: int, seed: int, first: bool) -> Iterator[tuple[st
 
 def _with_each_solver(recipe: Recipe) -> list[Recipe]:
     """The recipe with every installed normal solver in turn, each at its standard options."""
-    solvers = [offer.algorithm for offer in installed().offers("normals")]
-    return [recipe.model_copy(update={"name": s.name, "normals": s()}) for s in solvers]
+    solvers = bundled(NormalSolver)
+    return [recipe.model_copy(update={"name": n, "normals": solver()}) for n, solver in solvers.items()]

@@ -56,11 +56,9 @@ def shown(cell: Cell) -> str:
     return f"{cell:#.3g}"
 
 
-def kept(found: float, most: float | None) -> str:
-    """Whether a figure keeps to its limit, in words; without a limit there is nothing to keep."""
-    if most is None:
-        return "-"
-    return "met" if found <= most else "**missed**"
+def kept(limit_is_kept: bool) -> str:
+    """Whether a figure keeps to its limit, in words."""
+    return "met" if limit_is_kept else "**missed**"
 
 
 def write(folder: Path, tables: list[Table], conditions: dict[str, Any]) -> None:

@@ -319,12 +319,15 @@ def maps(
     tile: Tile,
     normals: ArtefactRef,
     height: ArtefactRef,
-    plate: ArtefactRef | None,
+    white: ArtefactRef | None,
     trend: ArtefactRef | None,
 ) -> Work:
-    """Products that are images: normals, albedo, reflection, height, confidence, trend."""
+    """Products that are images: normals, albedo, reflection, height, confidence, trend.
+
+    ``white`` is the photographed plate, which makes the albedo absolute, where there is one.
+    """
     inputs = {"normals": normals, "height": height, "trend": trend}
-    facts = {"white_reflectance": tile.white_reflectance if plate else None}
+    facts = {"white_reflectance": tile.white_reflectance if white else None}
     ref, record = describe("maps", tile.artwork, tile.name, inputs=inputs, facts=facts)
 
     def make(folder: Path, progress: Progress) -> None:
@@ -333,7 +336,7 @@ def maps(
             folder,
             products.open_maps(store, normals, height, trend),
             grid_of(tile, info),
-            white=tile.white_reflectance if plate else None,
+            white=tile.white_reflectance if white else None,
             icc=info.icc,
             progress=progress,
         )

@@ -46,7 +46,9 @@ def digitise_tile(tile: Tile, recipe: Recipe, call: Call) -> dict[str, ArtefactR
         if _levels(recipe):
             height = call(stages.level, tile, lights, plate, height)
 
-    maps = call(stages.maps, tile, normals, height, plate, trend)
+    # Only a photographed plate knows what white is.
+    white = plate if detrend.images and "flats" in detrend.images.needs else None
+    maps = call(stages.maps, tile, normals, height, white, trend)
     mesh = call(stages.mesh, tile, maps, height)
     record = recipe_record(recipe)
     report = call(stages.report, tile, record, lights, plate, bias, normals, height, trend, maps, mesh)

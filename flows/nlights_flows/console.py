@@ -171,13 +171,19 @@ def show_numbers(folders: Sequence[Path]) -> None:
         table.add_column(heading)
     for tile in tiles:
         table.add_column(f"{tile.parent.name}/{tile.name}", justify="right")
-    for rows in zip(*numbers, strict=True):
-        first = rows[0]
-        values = ["not measured" if row["value"] is None else f"{row['value']:.4g}" for row in rows]
-        table.add_row(first["group"], first["name"], first["unit"], *values)
+    names = dict.fromkeys((row["group"], row["name"], row["unit"]) for rows in numbers for row in rows)
+    found = [{(row["group"], row["name"], row["unit"]): row for row in rows} for rows in numbers]
+    for name in names:
+        table.add_row(*name, *(_value(rows.get(name)) for rows in found))
     _wide().print(table)
     for tile in tiles:
         print(tile / "report.html")
+
+
+def _value(row: dict[str, Any] | None) -> str:
+    if row is None:
+        return "not in this recipe"
+    return row.get("missing", "not measured") if row["value"] is None else f"{row['value']:.4g}"
 
 
 def _wide() -> Console:

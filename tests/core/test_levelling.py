@@ -28,7 +28,12 @@ def scene(request, tmp_path_factory):
     store.ensure(second)
     stand = load_stand("horizontal")
     field = LightField(tile.lamps, positions=stand.lamp_positions())
-    return tile, field, read_plate(store.path(second.ref)), tifffile.imread(folder / "capture/truth/height.tif")
+    return (
+        tile,
+        field,
+        read_plate(store.path(second.ref)),
+        tifffile.imread(folder / "capture/truth/height.tif"),
+    )
 
 
 def found(scene, field, height, tmp_path) -> Level:

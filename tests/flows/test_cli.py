@@ -131,10 +131,18 @@ def test_help_teaches_and_plugins_lists_origins():
     assert "nlights 0.1.0" in listed
 
 
-def test_report_prints_numbers_with_units(digitised):
-    text = nlights("report", digitised).stdout
+def test_report_prints_numbers_with_units_also_of_different_recipes(digitised, painting, tmp_path):
+    nlights("digitise", painting, "--out", tmp_path, "--recipe", "psbox")
+    text = nlights("report", digitised, tmp_path).stdout
     assert "mm" in text
-    assert "report.html" in text
+    assert "not in this recipe" in text
+    assert text.count("report.html") == 2
+
+
+def test_without_a_photographed_white_the_albedo_is_said_to_be_relative(painting, tmp_path):
+    nlights("digitise", painting, "--out", tmp_path, "--recipe", "paper")
+    with tifffile.TiffFile(tmp_path / "simulated-painting" / "r0c0" / "albedo.tif") as file:
+        assert "relative" in file.pages[0].description
 
 
 def test_check_reads_every_photograph_and_writes_nothing(capture):
