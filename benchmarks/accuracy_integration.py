@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from accuracy_subjects import bundled, present
+from accuracy_subjects import integrators, present
 from accuracy_tables import Cell, Table, kept
 
 from nlights_core.algorithms import Integrator
@@ -19,12 +19,13 @@ OPTIONS: dict[str, list[dict[str, bool | str]]] = {
 }
 """What else than its standard options an integrator is tried with."""
 
+WHOLE = np.s_[:, :]
 VASE_CROP = np.s_[82:310, 89:180]
 VASE_LIMIT = 0.11
 VASE_PEERS: list[tuple[Cell, ...]] = [
-    ("periodic Fourier transform, published", None, 2.15, 13.4, None, None),
-    ("cosine transform, published", None, 2.11, 1.27, None, None),
-    ("masked least squares, published", None, None, None, 0.108, 0.072),
+    ("periodic Fourier transform, published", None, 2.15, 13.4, None, None, None, None),
+    ("cosine transform, published", None, 2.11, 1.27, None, None, None, None),
+    ("masked least squares, published", None, None, None, 0.108, None, 0.072, None),
 ]
 
 DEPTH_LIMITS = {"bear": 0.50, "cow": 0.17, "pot1": 1.07, "cat": 0.38}
@@ -35,7 +36,7 @@ STEEPEST = (80.0, 88.0, 89.5)
 def variants() -> dict[str, Integrator]:
     """Every installed integrator at its standard options and at those of `OPTIONS`."""
     found = {}
-    for name, integrator in bundled(Integrator).items():
+    for name, integrator in integrators().items():
         for options in ({}, *OPTIONS.get(name, [])):
             words = "".join(f", `{option}: {str(value).lower()}`" for option, value in options.items())
             found[f"`{name}`{words}"] = integrator.model_validate(options)
@@ -50,20 +51,28 @@ def surfaces(quick: bool) -> list[Table]:
         print(f"  {title}", flush=True)
         height, p, q = peaks(512)
         off = integrator.integrate(_field(p, q)).height - height
-        figures = _vase(vase, integrator) if vase else [None] * 4
+        figures: list[Cell] = [None] * 6
+        if vase is not None:
+            whole, crop, whole_masked, crop_masked = (
+                _vase_error(vase, integrator, window, masked)
+                for masked in (False, True)
+                for window in (WHOLE, VASE_CROP)
+            )
+            judged = kept(whole_masked <= VASE_LIMIT)
+            steep = _vase_error(vase, integrator, WHOLE, masked=True, steepest=STEEPEST[-1])
+            figures = [whole, crop, whole_masked, judged, crop_masked, steep]
         rows.append((title, float(np.abs(off - off.mean()).max() / np.ptp(height)), *figures))
-    columns = ("vase, px", "vase cropped, px", "vase with mask, px", "cropped with mask, px")
-    tables = [Table("surfaces", ("integrator", "peaks, share of range", *columns), rows + VASE_PEERS)]
-    found = rows[list(variants()).index("`simchony`")][4]
-    if found is not None:
-        limit: tuple[Cell, ...] = (
-            "vase with mask, `simchony`: px",
-            found,
-            VASE_LIMIT,
-            kept(found <= VASE_LIMIT),
-        )
-        tables.append(Table("surfaces-limits", ("figure", "found", "at most", ""), [limit]))
-    return tables
+    columns = (
+        "integrator",
+        "peaks(512), share of range",
+        "vase, px",
+        "vase cropped, px",
+        "vase with mask, px",
+        f"at most {VASE_LIMIT}",
+        "cropped with mask, px",
+        f"with mask, slopes to {STEEPEST[-1]:g}, px",
+    )
+    return [Table("surfaces", columns, rows + VASE_PEERS)]
 
 
 def peaks(size: int) -> tuple[Array, Array, Array]:
@@ -87,19 +96,24 @@ def _field(p: Array, q: Array) -> NormalField:
     return NormalField(normals.astype(np.float32), PixelGrid(p.shape[0], p.shape[1], 1.0, unit="px"))
 
 
-def _vase(file: Path, integrator: Integrator) -> list[Cell]:
-    """RMS over the mask after the best constant, px: full and cropped, without and with the mask."""
+def _vase_error(
+    file: Path,
+    integrator: Integrator,
+    window: tuple[slice, slice],
+    masked: bool,
+    steepest: float | None = None,
+) -> float:
+    """RMS over the mask after the best constant, px."""
     from scipy.io import loadmat
 
-    vase, figures = loadmat(file), []
-    for masked in (False, True):
-        for window in (np.s_[:, :], VASE_CROP):
-            # The file's q runs along a row and its p down a column.
-            p, q, height, mask = (vase[key][window].astype(float) for key in ("q", "p", "u", "mask"))
-            known = mask > 0
-            seen = np.where(known | (not masked), p, np.nan)
-            figures.append(float(np.std((integrator.integrate(_field(seen, q)).height - height)[known])))
-    return figures
+    # The file's q runs along a row and its p down a column.
+    vase = loadmat(file)
+    p, q, height, mask = (vase[key][window].astype(float) for key in ("q", "p", "u", "mask"))
+    known = mask > 0
+    field = _field(np.where(known | (not masked), p, np.nan), q)
+    if steepest is not None:
+        field = SteepField(field.normals, field.grid, None, steepest)
+    return float(np.std((integrator.integrate(field).height - height)[known]))
 
 
 def depths(quick: bool) -> list[Table]:
@@ -116,7 +130,7 @@ def depths(quick: bool) -> list[Table]:
         flat = variants()["`simchony`"].model_copy(update={"perspective": False})
         rows.append(_depth_row(folder, f"{name}, `simchony`, `perspective: false`", flat))
     limits = tuple(f"slopes to {limit:g}, mm" for limit in STEEPEST)
-    columns = ("object, integrator", "as shipped (slopes to 70), mm", "at most", "", *limits)
+    columns = ("object, integrator", "as shipped (slopes to 70), mm", "at most, mm", "verdict", *limits)
     return [Table("depths", columns, rows)] if rows else []
 
 

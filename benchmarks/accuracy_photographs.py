@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from accuracy_subjects import DATA, bundled, present
+from accuracy_subjects import DATA, present, solvers
 from accuracy_tables import Cell, Table, kept
 
 from nlights_core.algorithms import NormalSolver
@@ -66,7 +66,7 @@ def diligent(quick: bool) -> list[Table]:
         return []
     rows: list[tuple[Cell, ...]] = []
     limits: list[tuple[Cell, ...]] = []
-    for name, solver in bundled(NormalSolver).items():
+    for name, solver in solvers().items():
         print(f"  {name}", flush=True)
         figures: list[Cell] = []
         speed = copies = 0.0
@@ -88,7 +88,7 @@ def diligent(quick: bool) -> list[Table]:
     columns = (f"{thing}{what}" for thing in OBJECTS for what in (", degrees", ", `shadow: 0`"))
     return [
         Table("diligent", ("normal solver", *columns, "Mpx/s", "time, copies of the images"), rows + PEERS),
-        Table("diligent-limits", ("figure", "found", "at most", ""), limits),
+        Table("diligent-limits", ("figure", "found", "at most", "verdict"), limits),
     ]
 
 
@@ -98,13 +98,10 @@ def _limit(what: str, found: float, most: float) -> tuple[Cell, ...]:
 
 def _few_lights(shots: dict[str, Shots]) -> list[tuple[Cell, ...]]:
     """The default solver beside least squares with eight lights that lie like this rig's."""
-    solvers = bundled(NormalSolver)
     rows = []
     for name, one in shots.items():
-        robust, plain = (_error(solvers[s](), one.of(RIG))[0] for s in (DEFAULT, "least-squares"))
-        rows.append(
-            _limit(f"`{DEFAULT}`, 8 lights, {name}: degrees (limit: `least-squares`)", robust, plain)
-        )
+        robust, plain = (_error(solvers()[s](), one.of(RIG))[0] for s in (DEFAULT, "least-squares"))
+        rows.append(_limit(f"`{DEFAULT}`, 8 lights, {name}: degrees (limit: `least-squares`)", robust, plain))
     return rows
 
 
@@ -162,7 +159,9 @@ def strengths(quick: bool) -> list[Table]:
     if not rows:
         return []
     rows += [("grey sphere, PSBox", 5.28, 10.33, None, None), ("ball, PSBox", 3.1, 15.7, None, None)]
-    return [Table("strengths", ("object", "refine off, degrees", "refine on, degrees", "asked", ""), rows)]
+    return [
+        Table("strengths", ("object", "refine off, degrees", "refine on, degrees", "asked", "verdict"), rows)
+    ]
 
 
 class Capture(NamedTuple):

@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from accuracy_subjects import bundled
+from accuracy_subjects import solvers
 from accuracy_tables import Cell, Table, kept
 
-from nlights_core.algorithms import NormalSolver
 from nlights_core.configurations import load_stand
 from nlights_core.manifest import load_capture
 from nlights_core.recipe import Recipe, load_recipe
@@ -40,6 +39,16 @@ CASES = (
     Case("relief of 8 mm, vertical", "relief", "vertical-dark", False, 0.185, 0.012),
     Case("painting, varnished, horizontal", "painting", "horizontal", True, 0.16, 0.11),
 )
+SCENE_COLUMNS = (
+    "scene, stand",
+    "normals mean, degrees",
+    "at most, degrees",
+    "normals",
+    "height rms, mm",
+    "at most, mm",
+    "height",
+    "seeds",
+)
 OTHER_RECIPES = ("paper", "psbox")
 
 Error = tuple[float, float]
@@ -60,24 +69,14 @@ def simulations(quick: bool) -> list[Table]:
                 print(f" {name} {error[0]:.3f}/{error[1]:.4f}", end="", flush=True)
                 found.setdefault((case.title, name), []).append(error)
             print(flush=True)
-    solvers = tuple(recipe.name for recipe in _with_each_solver(load_recipe("default")))
     return [
         Table(
             "scenes",
-            (
-                "scene, stand",
-                "normals mean, degrees",
-                "at most",
-                "",
-                "height rms, mm",
-                "at most (mm)",
-                " ",
-                "seeds",
-            ),
+            SCENE_COLUMNS,
             [_judged(case, found[case.title, "default"]) for case in CASES],
         ),
         _side_by_side("recipes", ("default", *OTHER_RECIPES), found),
-        _side_by_side("solvers", solvers, found),
+        _side_by_side("solvers", tuple(solvers()), found),
     ]
 
 
@@ -125,5 +124,4 @@ def _errors(case: Case, width: int, seed: int, first: bool) -> Iterator[tuple[st
 
 def _with_each_solver(recipe: Recipe) -> list[Recipe]:
     """The recipe with every installed normal solver in turn, each at its standard options."""
-    solvers = bundled(NormalSolver)
-    return [recipe.model_copy(update={"name": n, "normals": solver()}) for n, solver in solvers.items()]
+    return [recipe.model_copy(update={"name": n, "normals": solver()}) for n, solver in solvers().items()]

@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TypeVar
 
-from nlights_core.algorithms import Algorithm
+from nlights_core.algorithms import Algorithm, Integrator, NormalSolver
 from nlights_core.registry import installed
 
 DATA = Path(__file__).parents[1].parent / "shared" / "data"
 
-Kind = TypeVar("Kind", bound=Algorithm)
+
+def solvers() -> dict[str, type[NormalSolver]]:
+    """The normal solvers that come with nLights, by name."""
+    return {a.name: a for a in _bundled("normals") if issubclass(a, NormalSolver)}
 
 
-def bundled(kind: type[Kind]) -> dict[str, type[Kind]]:
-    """Every algorithm of a kind that comes with nLights, by name; other people's plugins are left out."""
-    return {
-        offer.algorithm.name: offer.algorithm
-        for offer in installed().offers(kind.slot)
-        if offer.distribution == "nlights" and issubclass(offer.algorithm, kind)
-    }
+def integrators() -> dict[str, type[Integrator]]:
+    """The integrators that come with nLights, by name."""
+    return {a.name: a for a in _bundled("integrator") if issubclass(a, Integrator)}
+
+
+def _bundled(slot: str) -> list[type[Algorithm]]:
+    """The algorithms of a slot; other people's plugins are left out."""
+    return [offer.algorithm for offer in installed().offers(slot) if offer.distribution == "nlights"]
 
 
 def present(*names: str) -> Path | None:

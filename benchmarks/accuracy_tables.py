@@ -82,7 +82,7 @@ def write(folder: Path, tables: list[Table], conditions: dict[str, Any]) -> None
         text = inserted(text, table)
         record[table.name] = {"made": conditions, "rows": table.record()}
     page.write_text(text, encoding="utf-8")
-    data.write_text(json.dumps(record, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+    data.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
 
 
 def inserted(text: str, table: Table) -> str:

@@ -172,9 +172,9 @@ def show_numbers(folders: Sequence[Path]) -> None:
     for tile in tiles:
         table.add_column(f"{tile.parent.name}/{tile.name}", justify="right")
     names = dict.fromkeys((row["group"], row["name"], row["unit"]) for rows in numbers for row in rows)
-    found = [{(row["group"], row["name"], row["unit"]): row for row in rows} for rows in numbers]
+    by_name = [{(row["group"], row["name"], row["unit"]): row for row in rows} for rows in numbers]
     for name in names:
-        table.add_row(*name, *(_value(rows.get(name)) for rows in found))
+        table.add_row(*name, *(_value(rows.get(name)) for rows in by_name))
     _wide().print(table)
     for tile in tiles:
         print(tile / "report.html")

@@ -215,8 +215,9 @@ def test_both_recipes_differ_in_the_plate_only():
 def test_what_an_error_adds_grows_in_proportion_to_it(along_z):
     for recipe in (WITHOUT, WITH):
         found = summary(along_z, recipe)
-        assert found[10].added_angle.mean == pytest.approx(10 * found[1].added_angle.mean, rel=0.15)
-        assert found[10].added_distance.mean == pytest.approx(10 * found[1].added_distance.mean, rel=0.15)
+        # Where nothing but the error's own noise is left, robust weights make it a little less straight.
+        assert found[10].added_angle.mean == pytest.approx(10 * found[1].added_angle.mean, rel=0.3)
+        assert found[10].added_distance.mean == pytest.approx(10 * found[1].added_distance.mean, rel=0.3)
 
 
 def test_the_flat_field_keeps_a_plane_a_plane_however_wrong_the_lamps_are(along_z):
