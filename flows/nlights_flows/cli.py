@@ -12,6 +12,8 @@ import typer
 from nlights_core import __version__
 from nlights_core.errors import NlightsError
 
+INTERRUPTED = 130
+
 app = typer.Typer(
     name="nlights",
     no_args_is_help=True,
@@ -381,6 +383,8 @@ def main() -> None:
     """Run the command line; explain what is the user's to mend, without a traceback."""
     try:
         code = app(standalone_mode=False)
+        if code == INTERRUPTED:  # Typer has swallowed the interrupt
+            _stopped()
         sys.stdout.flush()
     except typer.Abort:
         code = _stopped()
@@ -407,4 +411,4 @@ def main() -> None:
 
 def _stopped() -> int:
     print("stopped; what is finished is kept: the same command goes on from there", file=sys.stderr)
-    return 130
+    return INTERRUPTED

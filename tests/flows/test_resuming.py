@@ -77,3 +77,17 @@ def test_a_damaged_artefact_is_made_again(painting, tmp_path, whole):
     subprocess.run(command(painting, tmp_path), check=True, capture_output=True)
     assert json.loads(record.read_text())["stage"] == "maps"
     assert contents(tmp_path) == whole
+
+
+def test_an_interrupt_by_hand_is_answered_with_a_sentence(painting, tmp_path):
+    process = subprocess.Popen(command(painting, tmp_path), stderr=subprocess.PIPE, text=True)
+    assert process.stderr is not None
+    for line in process.stderr:
+        if ": plate:" in line:
+            break
+    process.send_signal(signal.SIGINT)
+    said = process.stderr.read()
+    process.stderr.close()
+    assert process.wait() == 130
+    assert "what is finished is kept" in said
+    assert not list(tmp_path.rglob(".draft-*"))
