@@ -5,13 +5,34 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from pydantic import Field
 
-from nlights_core.algorithms import Solution
+from nlights_core.algorithms import NormalSolver, Solution
 from nlights_core.frames import Array
 
 PRIOR_NOISE = 0.01
 """Noise that one extra observation of it is assumed to have shown, as a share of the albedo: with
 three lights there is no residual to learn it from."""
+
+
+class UsableLights(NormalSolver):
+    """A normal solver that fits by least squares to the lights that are usable in each pixel.
+
+    Usable are those above shadow and below saturation; too few, or badly spread ones, leave the
+    pixel unknown.  Subclass it to share these two options.
+    """
+
+    shadow: float = Field(
+        default=0.02,
+        ge=0,
+        lt=1,
+        description="samples below this share of the pixel's brightest are shadow; 0: none are",
+    )
+    condition: float = Field(
+        default=100.0,
+        gt=1,
+        description="largest allowed ratio of the singular values of the usable lights",
+    )
 
 
 class Fit(NamedTuple):

@@ -6,11 +6,12 @@ import numpy as np
 from pydantic import Field
 
 from nlights_core import least_squares, robust_fitting
-from nlights_core.algorithms import NormalSolver, Solution
+from nlights_core.algorithms import Solution
 from nlights_core.frames import Array
+from nlights_core.least_squares import UsableLights
 
 
-class MedianOfTriplets(NormalSolver):
+class MedianOfTriplets(UsableLights):
     """Weighted median of the solutions of all triplets of usable lights.
 
     Three lights determine a normal; Coleman and Jain (1982) compared the four triplets of four
@@ -26,17 +27,6 @@ class MedianOfTriplets(NormalSolver):
         le=5000,
         description="how many triplets are solved at most: all those of 10 lights; of more lights "
         "a fixed random choice",
-    )
-    shadow: float = Field(
-        default=0.02,
-        ge=0,
-        lt=1,
-        description="samples below this share of the pixel's brightest are shadow; 0: none are",
-    )
-    condition: float = Field(
-        default=100.0,
-        gt=1,
-        description="largest allowed ratio of the singular values of the usable lights",
     )
 
     def solve(self, images: Array, lights: Array, weights: Array) -> Solution:

@@ -6,11 +6,12 @@ import numpy as np
 from pydantic import Field
 
 from nlights_core import least_squares
-from nlights_core.algorithms import NormalSolver, Solution
+from nlights_core.algorithms import Solution
 from nlights_core.frames import Array
+from nlights_core.least_squares import UsableLights
 
 
-class Progressive(NormalSolver):
+class Progressive(UsableLights):
     """Least squares from which the most disagreeing light is discarded until ``keep`` are left.
 
     The paper (section 2.2) says: "Redundant conditions are used to refine the results by
@@ -22,17 +23,6 @@ class Progressive(NormalSolver):
     name: ClassVar[str] = "progressive"
 
     keep: int = Field(default=5, ge=3, description="how many lights are left in the end")
-    shadow: float = Field(
-        default=0.02,
-        ge=0,
-        lt=1,
-        description="samples below this share of the pixel's brightest are shadow; 0: none are",
-    )
-    condition: float = Field(
-        default=100.0,
-        gt=1,
-        description="largest allowed ratio of the singular values of the usable lights",
-    )
 
     def solve(self, images: Array, lights: Array, weights: Array) -> Solution:
         usable = least_squares.lit(images, weights, self.shadow)

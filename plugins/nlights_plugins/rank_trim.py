@@ -5,11 +5,12 @@ from typing import ClassVar
 from pydantic import Field
 
 from nlights_core import least_squares, robust_fitting
-from nlights_core.algorithms import NormalSolver, Solution
+from nlights_core.algorithms import Solution
 from nlights_core.frames import Array
+from nlights_core.least_squares import UsableLights
 
 
-class RankTrim(NormalSolver):
+class RankTrim(UsableLights):
     """Least squares without the darkest and the brightest share of each pixel's samples.
 
     The darkest may be shadow, the brightest highlights; both are dropped everywhere, whether
@@ -27,17 +28,6 @@ class RankTrim(NormalSolver):
     )
     brightest: float = Field(
         default=0.1, ge=0, lt=0.5, description="share to drop as its brightest, rounded up"
-    )
-    shadow: float = Field(
-        default=0.02,
-        ge=0,
-        lt=1,
-        description="samples below this share of the pixel's brightest are shadow; 0: none are",
-    )
-    condition: float = Field(
-        default=100.0,
-        gt=1,
-        description="largest allowed ratio of the singular values of the usable lights",
     )
 
     def solve(self, images: Array, lights: Array, weights: Array) -> Solution:

@@ -5,11 +5,12 @@ from typing import ClassVar
 from pydantic import Field
 
 from nlights_core import least_squares, robust_fitting
-from nlights_core.algorithms import NormalSolver, Solution
+from nlights_core.algorithms import Solution
 from nlights_core.frames import Array
+from nlights_core.least_squares import UsableLights
 
 
-class Robust(NormalSolver):
+class Robust(UsableLights):
     """Least squares that give up samples which the others contradict: highlights, shadows.
 
     A pixel all of whose residuals are noise is solved by plain least squares.  In any other an
@@ -26,17 +27,6 @@ class Robust(NormalSolver):
         le=0.1,
         description="standard deviation of a sample of weight 1 that reads 1: photon noise of a white "
         "surface under the brightest lamp; 0.005 is that of 40000 electrons",
-    )
-    shadow: float = Field(
-        default=0.02,
-        ge=0,
-        lt=1,
-        description="samples below this share of the pixel's brightest are shadow; 0: none are",
-    )
-    condition: float = Field(
-        default=100.0,
-        gt=1,
-        description="largest allowed ratio of the singular values of the usable lights",
     )
 
     def solve(self, images: Array, lights: Array, weights: Array) -> Solution:
