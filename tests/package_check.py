@@ -19,7 +19,7 @@ def run(*words: object, cwd: Path | None = None) -> str:
 
 
 def main() -> None:
-    """Build, install, list the plugins, load every shipped recipe and stand."""
+    """Build, install, list the plugins, load every shipped recipe and stand, digitise a small capture."""
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder)
         run(sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", place, ROOT)
@@ -43,6 +43,8 @@ def main() -> None:
             "print('recipes:', *names[0], '; stands:', *names[1])\n"
         )
         print(run(python, "-c", script, cwd=place), end="")
+        run(nlights, "simulate", "capture", "--scene", "plane", "--width", 64, cwd=place)
+        print(run(nlights, "digitise", "capture", cwd=place), end="")
         print(f"{wheel.name}: installs, lists its plugins and loads what it ships")
 
 
