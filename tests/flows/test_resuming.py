@@ -79,8 +79,15 @@ def test_a_damaged_artefact_is_made_again(painting, tmp_path, whole):
     assert contents(tmp_path) == whole
 
 
+def heed_interrupts() -> None:
+    """Undo what a shell does to its background jobs, of which a test run may be one."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 def test_an_interrupt_by_hand_is_answered_with_a_sentence(painting, tmp_path):
-    process = subprocess.Popen(command(painting, tmp_path), stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        command(painting, tmp_path), stderr=subprocess.PIPE, text=True, preexec_fn=heed_interrupts
+    )
     assert process.stderr is not None
     for line in process.stderr:
         if ": plate:" in line:
