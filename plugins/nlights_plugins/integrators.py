@@ -23,7 +23,26 @@ from nlights_core.integration import (
 from nlights_core.masked_integration import masked_least_squares
 
 
-class FrankotChellappa(Integrator):
+class SlopeIntegrator(Integrator):
+    """What both integrators share: whose rays are followed, and how steep a slope is believed."""
+
+    bytes_per_pixel: ClassVar[int] = 72
+
+    perspective: bool = Field(
+        default=True,
+        description="follow the rays of the measured camera; without one, and when false, the "
+        "camera is orthographic",
+    )
+    steepest_deg: float = Field(
+        default=70.0,
+        gt=0,
+        lt=90,
+        description="slopes are limited to this angle, degrees: near the horizon a normal says little "
+        "about the slope",
+    )
+
+
+class FrankotChellappa(SlopeIntegrator):
     """The surface whose Fourier series has the closest slopes.
 
     Its waves reach over the whole rectangle and know no mask: a field with unknown pixels is
@@ -31,55 +50,41 @@ class FrankotChellappa(Integrator):
     """
 
     name: ClassVar[str] = "frankot-chellappa"
-    bytes_per_pixel: ClassVar[int] = 72
 
     periodic: bool = Field(
         default=False,
         description="let the surface repeat itself beyond its borders, as in the original method; "
         "otherwise it is mirrored there",
     )
-    perspective: bool = Field(
-        default=True,
-        description="follow the rays of the measured camera; without one, and when false, the "
-        "camera is orthographic",
-    )
 
     def integrate(self, normals: NormalField) -> HeightMap:
         """Integrate a whole field; see `nlights_core.integration.frankot_chellappa`."""
-        return _integrate(
-            normals, partial(frankot_chellappa, periodic=self.periodic), "6-point", self.perspective
-        )
+        return _integrate(self, normals, partial(frankot_chellappa, periodic=self.periodic), "6-point")
 
 
-class Simchony(Integrator):
+class Simchony(SlopeIntegrator):
     """The surface whose steps from pixel to pixel are closest, with free borders."""
 
     name: ClassVar[str] = "simchony"
-    bytes_per_pixel: ClassVar[int] = 72
 
     stencil: Stencil = Field(
         default="6-point",
         description="how a step between two pixels follows from the slopes around it: from six "
         "pixels, or as the mean of two ('trapezoid', the paper's)",
     )
-    perspective: bool = Field(
-        default=True,
-        description="follow the rays of the measured camera; without one, and when false, the "
-        "camera is orthographic",
-    )
 
     def integrate(self, normals: NormalField) -> HeightMap:
         """Integrate a whole field; see `nlights_core.integration.simchony`."""
-        return _integrate(normals, partial(simchony, stencil=self.stencil), self.stencil, self.perspective)
+        return _integrate(self, normals, partial(simchony, stencil=self.stencil), self.stencil)
 
 
 def _integrate(
-    normals: NormalField, solve: Callable[[Array, Array], Array], stencil: Stencil, perspective: bool
+    options: SlopeIntegrator, normals: NormalField, solve: Callable[[Array, Array], Array], stencil: Stencil
 ) -> HeightMap:
     """Height by ``solve`` where all is known, by masked least squares where not."""
     grid = normals.grid
-    camera = grid.camera if perspective else None
-    per_column, per_row = normals.gradient()
+    camera = grid.camera if options.perspective else None
+    per_column, per_row = normals.gradient(options.steepest_deg)
     if camera is not None:
         per_column, per_row = perspective_gradient(per_column, per_row, grid)
     if np.isfinite(per_column).all() and np.isfinite(per_row).all():

@@ -125,3 +125,19 @@ def test_periodic_bends_what_does_not_repeat_and_mirroring_does_not():
     errors = [np.std(FrankotChellappa(periodic=p).integrate(field).height - z) for p in (True, False)]
     assert errors[0] > 0.3 * np.std(z)
     assert errors[1] < 0.01 * np.std(z)
+
+
+def test_a_steep_flank_is_cut_unless_its_slope_is_believed():
+    # A cone of 80 degrees: 5.67 mm up for every mm inwards.
+    x = np.linspace(-10, 10, 81)
+    xx, yy = np.meshgrid(x, -x)
+    radius = np.maximum(np.hypot(xx, yy), 1e-9)
+    slope = np.tan(np.radians(80))
+    normals = np.stack([slope * xx / radius, slope * yy / radius, np.ones_like(radius)], axis=-1)
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    field = NormalField(normals.astype(np.float32), PixelGrid(81, 81, 0.25))
+    truth = -slope * radius
+    believed = Simchony(steepest_deg=85).integrate(field).height
+    limited = Simchony().integrate(field).height
+    assert np.ptp(believed[40]) == pytest.approx(np.ptp(truth[40]), rel=0.05)
+    assert np.ptp(limited[40]) == pytest.approx(np.tan(np.radians(70)) * np.ptp(radius[40]), rel=0.05)
