@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -112,7 +111,7 @@ def _vase_error(
     known = mask > 0
     field = _field(np.where(known | (not masked), p, np.nan), q)
     if steepest is not None:
-        field = SteepField(field.normals, field.grid, None, steepest)
+        integrator = steeper(integrator, steepest)
     return float(np.std((integrator.integrate(field).height - height)[known]))
 
 
@@ -134,21 +133,9 @@ def depths(quick: bool) -> list[Table]:
     return [Table("depths", columns, rows)] if rows else []
 
 
-@dataclass(frozen=True)
-class SteepField(NormalField):
-    """Normals whose slopes are limited to another angle than the shipped one, which suits paintings.
-
-    Parameters
-    ----------
-    steepest : float
-        The angle, degrees.
-    """
-
-    steepest: float = 89.5
-
-    def gradient(self, steepest_deg: float = 0.0) -> tuple[Array, Array]:
-        """As of any `NormalField`, whatever limit an integrator asks for."""
-        return super().gradient(self.steepest)
+def steeper(integrator: Integrator, limit: float) -> Integrator:
+    """The same integrator believing slopes up to another angle, degrees, than suits paintings."""
+    return integrator.model_copy(update={"steepest_deg": limit})
 
 
 def _depth_row(folder: Path, title: str, integrator: Integrator) -> tuple[Cell, ...]:
@@ -156,8 +143,7 @@ def _depth_row(folder: Path, title: str, integrator: Integrator) -> tuple[Cell, 
     field, depth = seen_by_pinhole(folder)
     shipped = _depth_error(integrator, field, depth)
     most = DEPTH_LIMITS[folder.name]
-    steep = (SteepField(field.normals, field.grid, None, limit) for limit in STEEPEST)
-    others = [_depth_error(integrator, one, depth) for one in steep]
+    others = [_depth_error(steeper(integrator, limit), field, depth) for limit in STEEPEST]
     return (title, shipped, most, kept(shipped <= most), *others)
 
 

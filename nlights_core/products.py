@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import uuid
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict
@@ -22,7 +21,7 @@ from nlights_core.frames import Array, PixelGrid
 from nlights_core.levelling import read_level
 from nlights_core.map_statistics import sampled
 from nlights_core.plates import read_plate
-from nlights_core.store import RECORD, ArtefactRef, Progress, Store
+from nlights_core.store import RECORD, ArtefactRef, Progress, Store, draft_name, sweep
 
 FRAME = "plane frame: x right, y up, z from the artwork to the camera; NaN where not known"
 
@@ -292,6 +291,12 @@ def publish(store: Store, tile: Tile, refs: Mapping[str, ArtefactRef], out: Path
         The tile's folder.
     """
     target = out / tile.artwork / tile.name
+    former = target.parent / f".former-{tile.name}"
+    sweep(target.parent)
+    if former.is_dir():  # a run was killed between two renames: what was there before comes back
+        if not target.exists():
+            former.rename(target)
+        shutil.rmtree(former, ignore_errors=True)
     files = [
         path
         for name in ("maps", "mesh", "report")
@@ -301,7 +306,7 @@ def publish(store: Store, tile: Tile, refs: Mapping[str, ArtefactRef], out: Path
     if _published(target, refs["report"], files):
         return target
     target.parent.mkdir(parents=True, exist_ok=True)
-    draft = target.parent / f".draft-{uuid.uuid4().hex[:8]}"
+    draft = target.parent / draft_name()
     draft.mkdir()
     try:
         for path in files:
@@ -309,12 +314,13 @@ def publish(store: Store, tile: Tile, refs: Mapping[str, ArtefactRef], out: Path
         if target.is_dir():
             for path in target.iterdir():
                 if path.name not in WHAT and path.name != "evaluation.json":
-                    path.rename(draft / path.name)
-            old = target.rename(target.parent / f".old-{uuid.uuid4().hex[:8]}")
-            draft.rename(target)
-            shutil.rmtree(old)
-        else:
-            draft.rename(target)
+                    _copy(path, draft / path.name)
+            target.rename(former)
+        draft.rename(target)
+        shutil.rmtree(former, ignore_errors=True)
+    except OSError:
+        if not _published(target, refs["report"], files):  # else another run was faster
+            raise
     finally:
         shutil.rmtree(draft, ignore_errors=True)
         with suppress(OSError):  # the artwork's folder, where nothing could be put into it
@@ -328,6 +334,14 @@ def _published(target: Path, report: ArtefactRef, files: list[Path]) -> bool:
     except (OSError, ValueError):
         return False
     return provenance.get("key") == report.key and all((target / path.name).exists() for path in files)
+
+
+def _copy(source: Path, target: Path) -> None:
+    """Copy what people added, a file or a folder; the original stays until all is in place."""
+    if source.is_dir():
+        shutil.copytree(source, target, symlinks=True)
+    else:
+        shutil.copy2(source, target, follow_symlinks=False)
 
 
 def _place(source: Path, target: Path) -> None:

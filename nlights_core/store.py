@@ -120,8 +120,8 @@ class Store:
             return True
         target = self.path(work.ref)
         target.parent.mkdir(parents=True, exist_ok=True)
-        self._sweep(target.parent)
-        draft = target.parent / _draft_name()
+        sweep(target.parent)
+        draft = target.parent / draft_name()
         draft.mkdir()
         started = time.monotonic()
         try:
@@ -151,19 +151,13 @@ class Store:
             draft.rename(target)
         _flush(target.parent)
 
-    def _sweep(self, folder: Path) -> None:
-        """Clear drafts that a killed process of this machine left."""
-        for draft in folder.glob(f".draft-{socket.gethostname()}-*"):
-            if not _alive(int(draft.name.rsplit("-", 2)[1])):
-                shutil.rmtree(draft, ignore_errors=True)
-
     @contextmanager
     def scratch(self) -> Iterator[Path]:
         """A folder for temporary files, gone afterwards."""
         folder = self.root / ".scratch"
         folder.mkdir(parents=True, exist_ok=True)
-        self._sweep(folder)
-        own = folder / _draft_name()
+        sweep(folder)
+        own = folder / draft_name()
         own.mkdir()
         try:
             yield own
@@ -290,9 +284,16 @@ def describe(
     return ArtefactRef(stage, artwork, tile, key), record
 
 
-def _draft_name() -> str:
+def draft_name() -> str:
     """Name the machine and the process, so that only dead ones' drafts are ever swept."""
     return f".draft-{socket.gethostname()}-{os.getpid()}-{uuid.uuid4().hex[:8]}"
+
+
+def sweep(folder: Path) -> None:
+    """Clear drafts that a killed process of this machine left in a folder."""
+    for draft in folder.glob(f".draft-{socket.gethostname()}-*"):
+        if not _alive(int(draft.name.rsplit("-", 2)[1])):
+            shutil.rmtree(draft, ignore_errors=True)
 
 
 def _flush(path: Path) -> None:

@@ -3,6 +3,7 @@
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -57,7 +58,7 @@ def test_a_killed_run_goes_on_where_it_stood_and_ends_with_the_same_bytes(painti
     assert before.items() <= after.items()  # with their times of making: none was made again
     assert contents(tmp_path) == whole
     assert not list(tmp_path.rglob(".draft-*"))
-    assert not list(tmp_path.rglob(".old-*"))
+    assert not list(tmp_path.rglob(".former-*"))
     for name in before:
         assert (tmp_path / name / "artefact.json").stat().st_mtime < started
 
@@ -98,3 +99,16 @@ def test_an_interrupt_by_hand_is_answered_with_a_sentence(painting, tmp_path):
     assert process.wait() == 130
     assert "what is finished is kept" in said
     assert not list(tmp_path.rglob(".draft-*"))
+
+
+def test_a_run_killed_between_the_two_renames_of_publishing_loses_nothing(painting, tmp_path, whole):
+    subprocess.run(command(painting, tmp_path), check=True, capture_output=True)
+    target = tmp_path / "simulated-painting" / "r0c0"
+    (target / "notes.txt").write_text("seen by M.")
+    target.rename(target.parent / ".former-r0c0")
+    left = target.parent / f".draft-{socket.gethostname()}-4194399-abcdef01"
+    left.mkdir()
+    subprocess.run(command(painting, tmp_path), check=True, capture_output=True)
+    assert (target / "notes.txt").read_text() == "seen by M."
+    assert {name: data for name, data in contents(tmp_path).items() if name != "notes.txt"} == whole
+    assert sorted(path.name for path in target.parent.iterdir()) == ["r0c0"]
