@@ -111,8 +111,18 @@ def _normal_equations(images: Array, lights: Array, weights: Array) -> tuple[Arr
 
 def _invert(matrix: Array, condition: float) -> tuple[Array, Array, Array]:
     """Invert symmetric 3 x 3 matrices; also the smallest eigenvalues and which are well conditioned."""
+    adjugate, determinant = adjugates(matrix)
+    smallest, largest = eigenvalues(matrix)
+    well = (smallest > 0) & (largest <= condition**2 * smallest) & (determinant > 0)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        inverse = adjugate / np.where(well, determinant, 1.0)
+    return inverse, smallest, well
+
+
+def adjugates(matrix: Array) -> tuple[Array, Array]:
+    """Adjugates (6, ...) and determinants (...) of symmetric 3 x 3 matrices, upper triangles (6, ...)."""
     xx, xy, xz, yy, yz, zz = matrix
-    cofactors = np.stack(
+    adjugate = np.stack(
         [
             yy * zz - yz * yz,
             xz * yz - xy * zz,
@@ -122,12 +132,8 @@ def _invert(matrix: Array, condition: float) -> tuple[Array, Array, Array]:
             xx * yy - xy * xy,
         ]
     )
-    determinant = xx * cofactors[0] + xy * cofactors[1] + xz * cofactors[2]
-    smallest, largest = eigenvalues(matrix)
-    well = (smallest > 0) & (largest <= condition**2 * smallest) & (determinant > 0)
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        inverse = cofactors / np.where(well, determinant, 1.0)
-    return inverse, smallest, well
+    determinant = xx * adjugate[0] + xy * adjugate[1] + xz * adjugate[2]
+    return adjugate, determinant
 
 
 def eigenvalues(matrix: Array) -> tuple[Array, Array]:

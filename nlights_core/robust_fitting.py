@@ -15,7 +15,7 @@ import numpy as np
 
 from nlights_core.algorithms import Solution
 from nlights_core.frames import Array
-from nlights_core.least_squares import Fit, fit
+from nlights_core.least_squares import Fit, adjugates, fit
 
 BLOCK_SAMPLES = 1 << 18
 """Samples (pixels times lights) of a block: an array of them is 1 MB, so some of them fit into the
@@ -355,19 +355,8 @@ def _sums(terms: Array, weights: Array) -> Array:
 
 def _inverse(matrix: Array) -> Array:
     """Inverses of symmetric 3 x 3 matrices (6, m) of positive determinant, upper triangles."""
-    xx, xy, xz, yy, yz, zz = matrix
-    cofactors = np.stack(
-        [
-            yy * zz - yz * yz,
-            xz * yz - xy * zz,
-            xy * yz - xz * yy,
-            xx * zz - xz * xz,
-            xy * xz - xx * yz,
-            xx * yy - xy * xy,
-        ]
-    )
-    determinant = xx * cofactors[0] + xy * cofactors[1] + xz * cofactors[2]
-    return np.asarray(cofactors / np.maximum(determinant, np.float32(np.finfo(np.float32).tiny)))
+    adjugate, determinant = adjugates(matrix)
+    return np.asarray(adjugate / np.maximum(determinant, np.float32(np.finfo(np.float32).tiny)))
 
 
 def _scale(missed: Array, used: Array) -> Array:
