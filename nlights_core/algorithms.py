@@ -24,6 +24,10 @@ if TYPE_CHECKING:
     from nlights_core.capture import Tile
 
 
+PHOTONS = 40_000.0
+"""How many photons a sample of weight 1 that reads 1 has counted: a good exposure of a white surface."""
+
+
 class Read(Protocol):
     """How an algorithm sees photographs without ever opening a file."""
 
@@ -55,7 +59,8 @@ class Solution(NamedTuple):
     albedo : (h, w) float32
         Albedo of the grey images, NaN where not known.
     confidence : (h, w) float32
-        From 0 (unknown) to 1 (all lights agree and are well spread).
+        Standard uncertainty of the normal, degrees: the angle that it is off by no more than in
+        68 % of all cases; NaN where not known.
     weights : (L, h, w) float32
         The weights the solution was made with: 0 for a sample that was discarded.  The colour
         of the albedo, the residual and the map of used lights follow from them.
@@ -165,8 +170,9 @@ class NormalSolver(Algorithm):
             Direction times irradiance, relative to the plate where there is one: the model is
             ``images = albedo * (lights . normal)``.
         weights : (L, h, w) float32 array
-            Weight of each sample's squared residual (the inverse of its relative variance);
-            0 where the sample must not be used (saturated, masked).
+            Weight of each sample's squared residual, in units of `PHOTONS`: the variance of a sample
+            that reads r is ``r / (w PHOTONS)``.  0 where the sample must not be used (saturated,
+            masked).
 
         Returns
         -------

@@ -28,6 +28,15 @@ class Encoding(Record):
     )
 
 
+class Sensor(Record):
+    """What is known of the camera's noise; measured in the photographs where it is not stated."""
+
+    electrons_at_saturation: Positive = Field(
+        description="electrons that a pixel holds at saturation level, at the ISO setting used"
+    )
+    read_noise_electrons: float = Field(default=0.0, ge=0, description="standard deviation in the dark")
+
+
 class Sphere(Record):
     """Photographs of a chrome sphere under the same lamps."""
 
@@ -71,6 +80,7 @@ class Tile(Record):
     spheres: tuple[Sphere, ...] = ()
     lights: GivenLights | None = None
     encoding: Encoding = Encoding()
+    sensor: Sensor | None = None
     white_reflectance: float = Field(default=0.9, gt=0, le=1, description="albedo of the white reference")
 
     @property

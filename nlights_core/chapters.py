@@ -232,13 +232,13 @@ def _trust(views: Views) -> Iterable[Picture]:
     if "used" in views.maps:
         yield _lights_used(views)
     if confidence is not None:
-        image, bar = pictures.coloured(
-            confidence, (0.0, 1.0), "cividis", "Confidence, 0 (unknown) to 1 (certain)"
-        )
+        ends = pictures.robust_range(confidence, from_zero=True)
+        image, bar = pictures.coloured(confidence, ends, "cividis", "Uncertainty of the normals in °")
         yield Picture(
-            "Confidence",
-            "The solver's own confidence in each normal.",
-            "Map of the confidence, bright where it is high",
+            "Uncertainty of the normals",
+            "68 % of the normals are off by no more than this, by the noise of the photographs and by how well they "
+            "agree. Dark colours and places that few lamps reach are less certain.",
+            "Map of the uncertainty of the normals, dark where it is small",
             image,
             bar=bar,
             scale=views.scale,

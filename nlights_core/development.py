@@ -5,16 +5,19 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from nlights_core.capture import Encoding, Tile
+from nlights_core.algorithms import PHOTONS
+from nlights_core.capture import Encoding, Sensor, Tile
 from nlights_core.errors import TileError
 from nlights_core.fields import LightField
 from nlights_core.frames import Array, PixelGrid
-from nlights_core.images import ImageInfo, Photograph, grey, is_saturated, probe
+from nlights_core.images import EYE, ImageInfo, Photograph, grey, is_saturated, probe
+from nlights_core.noise import Noise, measure_noise
 from nlights_core.plates import Plate
 
 BAND_BYTES = 64 << 20
@@ -174,7 +177,8 @@ class Band:
     images : (L, h, w, C) float32
         Linear, dark subtracted, divided by power and plate.
     weights : (L, h, w) float32
-        Inverse relative variance of the samples; 0 where saturated or outside the mask.
+        As `nlights_core.algorithms.NormalSolver.solve` wants them; 0 where saturated or outside the
+        mask.
     saturated : (L, h, w) bool
         Where any channel is at the saturation level.
     lights : (L, h, w, 3) or (L, 1, 1, 3) float32
@@ -210,8 +214,23 @@ class Darkroom:
     dark: Photograph | None
     mask: Photograph | None
     subject: str
+    sensor: Sensor | None
     exposures: dict[str, Exposure] = field(default_factory=dict)
     _views: list[Array] = field(default_factory=list)
+
+    @cached_property
+    def noise(self) -> Noise:
+        """The camera's noise: as the capture states it, or measured in these photographs.
+
+        Set it to what the flat reference's photographs said where there are any: they show
+        noise without texture.
+        """
+        channels = self.info.channels
+        if self.sensor is not None:
+            return Noise.of_sensor(self.sensor, channels, self.dark is not None)
+        smooth = self.subject == "flats"
+        found = measure_noise(self.photographs.values(), self.dark, smooth=smooth)
+        return found or Noise(np.ones(channels), np.zeros(channels))
 
     def raw(self, start: int, stop: int, lights: LightField) -> Raw:
         """Read a band of every photograph."""
@@ -284,12 +303,19 @@ class Darkroom:
             ambient = np.broadcast_to(
                 lights.ambient.astype(np.float32)[:, None, None], images.shape[:3]
             ).copy()
-        if plate is not None:
+        if plate is None:
+            mix = _mix(images, None)
+            weights /= self.noise.photons(lights.power.astype(np.float32), mix)[:, None, None]
+        else:
             images = images.copy()
-            vectors, ambient = _relative(images, weights, vectors, ambient, lights, plate, points)
             shares = plate.shares if images.shape[-1] == len(plate.shares) else None
-        saturated = raw.saturated & raw.inside
+            mix = _mix(images, shares)
+            relative = _relative(images, weights, vectors, ambient, lights, plate, points, self.noise, mix)
+            vectors, ambient = relative
         mixed = grey(images, shares)
+        self.noise.with_readout(weights, mixed, mix)
+        weights /= np.float32(PHOTONS)
+        saturated = raw.saturated & raw.inside
         return Band(raw.start, raw.stop, images, weights, saturated, vectors, ambient, mixed)
 
     def check(self) -> None:
@@ -306,6 +332,13 @@ class Darkroom:
             exposure.check(f"{self.subject}.{lamp}", self.paths[lamp])
 
 
+def _mix(images: Array, shares: Array | None) -> Array:
+    """Share of each channel in the grey of images (..., C), (C,) float32."""
+    if shares is None:
+        shares = EYE if images.shape[-1] > 1 else np.ones(1)
+    return shares.astype(np.float32)
+
+
 def _relative(
     images: Array,
     weights: Array,
@@ -314,26 +347,26 @@ def _relative(
     lights: LightField,
     plate: Plate,
     points: Array,
+    noise: Noise,
+    mix: Array,
 ) -> tuple[Array, Array | None]:
-    """Divide images by the plate, in place, and make the lights relative to it.
+    """Divide images by the plate and weigh them, in place; make the lights relative to it.
 
-    The plate is read where each lamp's ray meets the plane (numerics, section 1): power,
-    emission and fall-off cancel there, and only geometry is left.  With shot noise the
-    variance of ``I / F`` goes as ``1 / F``, so the plate is the weight.
+    The plate is read where each lamp's ray through a point meets the plane (numerics, section
+    1): power, emission and fall-off cancel there, and only geometry is left.
     """
     origins = lights.plane_points(points)
     relative = np.empty((len(images), *points.shape[1:], 3), np.float32)
-    for i in range(len(images)):
+    for i, power in enumerate(lights.power.astype(np.float32)):
         x, y = origins[i if len(origins) > 1 else 0]
         reading = plate.at(i, x, y)
         # A plate that is not known, or nearly dark, leaves the sample unknown.
         usable: Array = np.all(np.isfinite(reading) & (reading > 1e-6 * plate.brightest), axis=-1)
         reading = np.where(usable[..., None], reading, np.float32(1))
         images[i] /= reading
-        brightness = grey(reading)
-        weights[i] *= np.where(usable, brightness / np.float32(plate.brightest), np.float32(0))
+        weights[i] *= np.where(usable, 1 / noise.photons(reading * power, mix), np.float32(0))
         if ambient is not None:
-            ambient[i] /= brightness
+            ambient[i] *= (mix / reading).sum(axis=-1)
         if lights.near:
             on_plane = lights.only(i).vectors(np.stack([x, y, np.zeros_like(x)]))[0, ..., 2]
             relative[i] = vectors[i] / on_plane[..., None]
@@ -368,6 +401,7 @@ def darkroom(tile: Tile, scratch: Path, *, flats: bool = False) -> Iterator[Dark
             dark=opened(tile.dark, tile.encoding) if tile.dark else None,
             mask=opened(tile.mask, Encoding()) if tile.mask and not flats else None,
             subject="flats" if flats else "frames",
+            sensor=tile.sensor,
         )
 
 

@@ -172,7 +172,7 @@ class NormalField:
     grid : PixelGrid
         Where the pixels are.
     confidence : (H, W) float32 array, optional
-        Confidence of the solver in each normal, from 0 to 1.
+        Standard uncertainty of each normal, degrees (see `nlights_core.algorithms.Solution`).
     """
 
     normals: Array

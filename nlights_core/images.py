@@ -325,8 +325,12 @@ def superpixels(mosaic: Array, pattern: str) -> Array:
     return np.stack([samples[pattern.index("R")], green, samples[pattern.index("B")]], axis=-1)
 
 
+EYE = np.array([0.299, 0.587, 0.114])
+"""Shares of red, green and blue in what the eye takes for brightness (ITU-R BT.601)."""
+
+
 def grey(image: Array, shares: Array | None = None) -> Array:
-    """The grey of an image: 0.299 R + 0.587 G + 0.114 B (ITU-R BT.601), or its single channel.
+    """The grey of an image: 0.299 R + 0.587 G + 0.114 B, or its single channel.
 
     Parameters
     ----------
@@ -343,7 +347,7 @@ def grey(image: Array, shares: Array | None = None) -> Array:
         return image[..., 0]
     if shares is not None:
         return np.asarray(image @ shares.astype(image.dtype))
-    red, green, blue = (image.dtype.type(weight) for weight in (0.299, 0.587, 0.114))
+    red, green, blue = (image.dtype.type(weight) for weight in EYE)
     return np.asarray(image[..., 0] * red + image[..., 1] * green + image[..., 2] * blue)
 
 

@@ -7,12 +7,16 @@ from typing import NamedTuple
 import numpy as np
 from pydantic import Field
 
-from nlights_core.algorithms import NormalSolver, Solution
+from nlights_core.algorithms import PHOTONS, NormalSolver, Solution
 from nlights_core.frames import Array
 
-PRIOR_NOISE = 0.01
-"""Noise that one extra observation of it is assumed to have shown, as a share of the albedo: with
-three lights there is no residual to learn it from."""
+FORESEEN = 10.0
+"""As how many further residuals the noise that was foreseen counts when a pixel's own residuals say
+that there is more: a pixel of eight lights has only five to tell it by."""
+
+COVERING = float(np.sqrt(-2 * np.log(1 - 0.68)))
+"""Angle that covers 68 % of a round two-dimensional normal distribution, in standard deviations of one
+of its two components."""
 
 
 class UsableLights(NormalSolver):
@@ -185,15 +189,16 @@ def leverage(light: Array, weight: Array, inverse: Array) -> Array:
 
 
 def solution(images: Array, lights: Array, weights: Array, found: Fit) -> Solution:
-    """Split a fit into unit normal, albedo and confidence.
+    """Split a fit into unit normal, albedo and the normal's uncertainty.
 
-    The confidence is ``1 / (1 + sigma / 1 degree)``, where sigma is the standard error of the
-    normal that the residual and the smallest eigenvalue imply: 0.5 at one degree.
+    The uncertainty follows from the covariance of the scaled normal, ``variance M^-1``, M being
+    the normal matrix and the variance that of a sample of weight 1: the mean reading over
+    `PHOTONS` where residuals are the noise that was foreseen, more where they are larger.
 
     Parameters
     ----------
     images, lights, weights : arrays
-        As given to `fit`.
+        As given to `fit`; weights in the unit of `nlights_core.algorithms.NormalSolver.solve`.
     found : Fit
         Its result.
 
@@ -206,22 +211,31 @@ def solution(images: Array, lights: Array, weights: Array, found: Fit) -> Soluti
     albedo = np.sqrt(np.sum(found.scaled**2, axis=0))
     known = np.isfinite(albedo) & (albedo > 0) & (found.scaled[2] > 0)
     albedo = np.where(known, albedo, np.nan)
-    used = weights > 0
-    count = np.count_nonzero(used, axis=0)
-    missed = np.where(used, images - np.einsum("...k,k...->...", lights, found.scaled), 0.0)
-    squares = np.einsum("l...,l...,l...->...", weights, missed, missed)
-    mean_weight = np.sum(weights, axis=0, dtype=np.float64) / np.maximum(count, 1)
-    prior = mean_weight * (PRIOR_NOISE * albedo) ** 2
-    variance = (squares + prior) / np.maximum(count - 2, 1)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        sigma = np.degrees(np.sqrt(variance / np.maximum(found.smallest, 0)) / albedo)
-    normals = np.moveaxis(found.scaled / albedo, 0, -1)
+    normals = found.scaled / albedo
     return Solution(
-        normals=normals.astype(np.float32),
+        normals=np.moveaxis(normals, 0, -1).astype(np.float32),
         albedo=albedo.astype(np.float32),
-        confidence=np.where(known, 1 / (1 + sigma), 0).astype(np.float32),
+        confidence=_uncertainty(images, lights, weights, found, normals, albedo).astype(np.float32),
         weights=np.where(known, weights, 0).astype(np.float32),
     )
+
+
+def _uncertainty(
+    images: Array, lights: Array, weights: Array, found: Fit, normals: Array, albedo: Array
+) -> Array:
+    """Angle that the normal is off by no more than in 68 % of all cases, degrees, (h, w)."""
+    used = weights > 0
+    missed = np.where(used, images - np.einsum("...k,k...->...", lights, found.scaled), 0.0)
+    total = np.where(known := np.isfinite(albedo), weights.sum(axis=0, dtype=np.float64), 1)
+    reading = np.einsum("l...,l...->...", weights, np.where(used, images - missed, 0)) / total
+    foreseen = np.where(known, reading, np.nan) / PHOTONS
+    surprise = np.einsum("l...,l...,l...->...", weights, missed, missed) / foreseen
+    freedom = np.maximum(np.count_nonzero(used, axis=0) - 3, 0)
+    variance = foreseen * (FORESEEN + surprise) / (FORESEEN + freedom)
+    # What lies along the normal is the albedo's; the rest turns it.
+    along = np.sum(normals * multiply(found.inverse, normals), axis=0)
+    across = np.maximum(found.inverse[0] + found.inverse[3] + found.inverse[5] - along, 0)
+    return np.asarray(np.degrees(COVERING * np.sqrt(variance * across / 2) / albedo))
 
 
 def lit(images: Array, weights: Array, shadow: float) -> Array:

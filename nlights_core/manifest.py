@@ -9,7 +9,7 @@ from typing import Annotated
 
 from pydantic import AfterValidator, Field
 
-from nlights_core.capture import Encoding, GivenLights, Sphere, Tile
+from nlights_core.capture import Encoding, GivenLights, Sensor, Sphere, Tile
 from nlights_core.configurations import Source, load_stand
 from nlights_core.errors import CaptureError, StandError
 from nlights_core.stands import Positive, Record, Stand
@@ -66,6 +66,7 @@ class Manifest(Record):
     chrome_spheres: list[_Sphere] = Field(default=[])
     lights: _Lights | None = None
     encoding: Encoding = Encoding()
+    sensor: Sensor | None = None
     pixel_size_mm: Positive | None = None
     white_reflectance: float = Field(default=0.9, gt=0, le=1)
     tiles: list[_Tile] = Field(default=[_Tile(name="r0c0")], min_length=1)
@@ -178,6 +179,7 @@ class _Reader:
             spheres=tuple(spheres),
             lights=lights,
             encoding=whole.encoding,
+            sensor=whole.sensor,
             white_reflectance=whole.white_reflectance,
         )
 

@@ -18,6 +18,7 @@ from nlights_core.arrays import BandWriter, read_array
 from nlights_core.capture import Tile
 from nlights_core.errors import TileError
 from nlights_core.frames import Array, PixelGrid
+from nlights_core.integrability import integrable_normals, integrable_uncertainty
 from nlights_core.levelling import read_level
 from nlights_core.map_statistics import sampled
 from nlights_core.plates import read_plate
@@ -32,7 +33,7 @@ WHAT = {
     "albedo_view.tif": "the albedo for viewing, 16 bit, sRGB",
     "reflection.tif": "reflection map: apparent colour (mean over the lamps) minus albedo, float32, linear, signed",
     "height.tif": "height towards the camera, float32",
-    "confidence.tif": "confidence in each normal, float32, 0 (unknown) to 1",
+    "confidence.tif": "standard uncertainty of each normal, degrees, float32",
     "trend.tif": "what detrending removed from the height, float32",
     "mesh.ply": "mesh with a vertex per pixel",
     "mesh.glb": "decimated mesh with the albedo as its texture, metres",
@@ -73,6 +74,8 @@ def write_maps(
     white: float | None,
     icc: bytes | None,
     progress: Progress,
+    integrated: Array | None = None,
+    perspective: bool = False,
 ) -> None:
     """Write every product that is an image.
 
@@ -90,6 +93,10 @@ def write_maps(
         Colour profile of the photographs, kept in the albedo and the reflection map.
     progress : callable
         Told the share done.
+    integrated : (H, W) array, optional
+        The height that was integrated from the normals, which then are made integrable.
+    perspective : bool
+        Whether that height was integrated along the rays of the camera.
 
     Raises
     ------
@@ -126,8 +133,7 @@ def write_maps(
     def tiff(name: str, array: Array, what: str, profile: bytes | None = None) -> None:
         export.write_tiff(folder / name, array, grid, description=what, icc=profile)
 
-    tiff("normals.tif", maps["normals"], f"Unit normals x, y, z; {FRAME}")
-    export.write_normals_view(folder / "normals_opengl.png", maps["normals"])
+    _write_normals(folder, maps, grid, integrated, perspective)
     tiff("albedo.tif", albedo_map, f"Albedo; {said}; NaN where not known", icc)
     export.write_albedo_view(folder / "albedo_view.tif", _viewable(albedo_map, white), grid)
     tiff(
@@ -138,14 +144,41 @@ def write_maps(
     )
     progress(0.7)
     tiff("height.tif", maps["height"], f"Height in {grid.unit}, its constant free; {FRAME}")
-    tiff(
-        "confidence.tif", maps["confidence"], "Confidence in the normal: 1 / (1 + standard error / 1 degree)"
-    )
     if "trend" in maps:
         tiff("trend.tif", maps["trend"], f"Trend removed from the height, {grid.unit}")
     for name in ("albedo", "reflection"):
         (folder / f".{name}.npy").unlink()
     progress(1.0)
+
+
+def _write_normals(
+    folder: Path, maps: Mapping[str, Array], grid: PixelGrid, integrated: Array | None, perspective: bool
+) -> None:
+    """Write the normals, a view of them, and their uncertainty."""
+    import tifffile
+
+    normals, confidence = maps["normals"], maps["confidence"]
+    what = (
+        f"Unit normals x, y, z; {FRAME}",
+        "Standard uncertainty of the normal, degrees: 68 % of all normals are off by no more; NaN where not "
+        "known",
+    )
+    path = folder / "normals.tif"
+    with (
+        export.BandTiff(path, normals.shape, "float32", grid=grid, description=what[0]) as vectors,
+        export.BandTiff(
+            folder / "confidence.tif", grid.shape, "float32", grid=grid, description=what[1]
+        ) as angles,
+    ):
+        for band in export.bands(grid.rows, 4 * normals[:1].nbytes):
+            if integrated is None:
+                vectors.write(normals[band])
+                angles.write(confidence[band])
+                continue
+            rows = (band.start, min(band.stop, grid.rows))
+            vectors.write(integrable_normals(normals, integrated, grid, *rows, perspective=perspective))
+            angles.write(integrable_uncertainty(confidence, *rows))
+    export.write_normals_view(folder / "normals_opengl.png", tifffile.memmap(path, mode="r"))
 
 
 def _viewable(albedo: Array, white: float | None) -> Array:
@@ -199,7 +232,8 @@ def write_report(
     assert normals is not None
     assert height is not None
     maps = open_maps(store, normals, height, refs["trend"])
-    for name in ("albedo", "reflection"):
+    maps["measured"] = maps["normals"]
+    for name in ("albedo", "reflection", "normals", "confidence"):
         maps[name] = tifffile.memmap(made["maps"] / f"{name}.tif", mode="r")
     if "plate" in made:
         maps["plate"] = read_plate(made["plate"]).inside(grid)

@@ -49,6 +49,12 @@ class Recipe(Record):
         "the height of the pass before",
     )
 
+    integrable: bool = Field(
+        default=True,
+        description="take out of the normals what no surface can have: the part that the height "
+        "integrated from them does not follow",
+    )
+
     def algorithms(self) -> list[Algorithm]:
         """Every algorithm of the recipe, in the order in which they run."""
         slots = (
@@ -84,6 +90,7 @@ class Recipe(Record):
             "normals": described(self.normals),
             "integrator": described(self.integrator),
             "passes": self.passes,
+            "integrable": self.integrable,
         }
 
 
@@ -127,7 +134,7 @@ class _Reader:
 
     def recipe(self, name: str) -> Recipe:
         data = self.source.data
-        self._refuse_unknown((), data, ["light_model", "detrend", "normals", "integrator", "passes"])
+        self._refuse_unknown((), data, [name for name in Recipe.model_fields if name != "name"])
         chosen = {slot: self._algorithm((slot,), data.get(slot)) for slot in REQUIRED if self._has(slot)}
         detrend = data.get("detrend")
         removed: dict[str, Any] = {}
@@ -137,11 +144,11 @@ class _Reader:
             removed = {k: self._algorithm(("detrend", k), detrend[k]) for k in known}
         elif detrend is not None:
             self.faults.append(self.source.fault(("detrend",), f"should be a mapping; got {detrend!r}"))
-        passes = {"passes": data["passes"]} if "passes" in data else {}
-        self._are_numbers((), passes, Recipe)
+        plain = {name: data[name] for name in ("passes", "integrable") if name in data}
+        self._are_numbers((), plain, Recipe)
         if not self.faults:
             try:
-                return Recipe(name=name, detrend=Detrends(**removed), **chosen, **passes)
+                return Recipe(name=name, detrend=Detrends(**removed), **chosen, **plain)
             except ValidationError as faults:
                 self.faults += self.source.sentences(faults, Recipe)
         raise RecipeError("\n".join(self.faults))
@@ -241,5 +248,6 @@ def recipe_schema(registry: Registry | None = None) -> dict[str, Any]:
             "normals": choice("normals"),
             "integrator": choice("integrator"),
             "passes": {"type": "integer", "minimum": 1, "maximum": 5, "default": 1},
+            "integrable": {"type": "boolean", "default": True},
         },
     }

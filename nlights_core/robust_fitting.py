@@ -13,7 +13,7 @@ from itertools import combinations
 
 import numpy as np
 
-from nlights_core.algorithms import Solution
+from nlights_core.algorithms import PHOTONS, Solution
 from nlights_core.frames import Array
 from nlights_core.least_squares import Fit, adjugates, fit
 
@@ -35,6 +35,9 @@ BIWEIGHT_ROUNDS = 2
 DARKEST = 0.03
 """Albedo below which the noise is not taken to grow any further relative to it; so images in an
 arbitrary small unit are not taken for noise."""
+
+MODEL_ERROR = 0.003
+"""Share of a reading that lamps and plate are not known better than, besides the noise."""
 
 FEW = 16
 """With more lights none has a leverage by which it alone decides the fit."""
@@ -199,13 +202,12 @@ def _weighted_median(values: Array, weights: Array) -> Array:
     return np.where(heaped[-1] > 0, np.take_along_axis(values, chosen, axis=0)[0], np.nan)
 
 
-def reweighted(
-    images: Array, lights: Array, weights: Array, noise: float, condition: float
-) -> tuple[Array, Fit]:
+def reweighted(images: Array, lights: Array, weights: Array, condition: float) -> tuple[Array, Fit]:
     """Least squares where they hold; elsewhere Tukey's biweight about the L1 fit.
 
-    The standard deviation that a sample is expected to have is that of photon noise,
-    ``noise sqrt(albedo / w)``.  Where a residual of least squares exceeds three of them,
+    The variance that a sample is expected to have at an albedo a is that of photon noise and of an
+    imperfect model, ``a / (w PHOTONS) + (MODEL_ERROR a)^2``.  Where a residual of least squares
+    exceeds three standard deviations,
     `ABSOLUTE_ROUNDS` of reweighting with ``1 / max(|u|, 1)``, u being the residual in standard
     deviations, approach the fit with the least sum of absolute residuals.  Such a fit follows a
     wrong light of high leverage, so with few lights a fit without the light that the others
@@ -217,8 +219,6 @@ def reweighted(
     ----------
     images, lights, weights : (L, n), (L, n, 3) or (L, 1, 3), and (L, n) float32 arrays
         The weights without shadows.
-    noise : float
-        Standard deviation of a sample of weight 1 that reads 1.
     condition : float
         As for `nlights_core.least_squares.fit`.
 
@@ -238,7 +238,7 @@ def reweighted(
     with np.errstate(all="ignore"):
         rays, squares = _prepared(lights)
         start = _fitted(values, rays, squares, weights)
-        precision = _precision(weights, start, noise)
+        precision = _precision(weights, start)
         doubtful = np.max(_missed(values, lights, start, precision), axis=0) > SUSPICIOUS
         doubtful &= np.count_nonzero(weights > 0, axis=0) >= FEWEST
         chosen = np.nonzero(doubtful)[0]
@@ -266,15 +266,16 @@ def _shown(lights: Array, scaled: Array) -> Array:
     return np.asarray(np.einsum("lnk,kn->ln", lights, scaled))
 
 
-def _precision(weights: Array, scaled: Array, noise: float) -> Array:
+def _precision(weights: Array, scaled: Array) -> Array:
     """Inverse of the standard deviation that each sample is expected to have, (L, n) float32.
 
-    0 for a sample that is not used, or where the albedo a is not known.  The square of the
-    noise relative to a is ``noise^2 / (a w)``, with a not below `DARKEST`.
+    0 for a sample that is not used, or where the albedo is not known.
     """
     albedo = np.sqrt(np.sum(scaled**2, axis=0))
-    relative = np.float32(noise) * albedo / np.sqrt(np.maximum(albedo, np.float32(DARKEST)))
-    return np.where(albedo > 0, np.sqrt(weights) / relative, np.float32(0))
+    photons = albedo**2 / np.maximum(albedo, np.float32(DARKEST)) / np.float32(PHOTONS)
+    variance = photons + weights * np.square(np.float32(MODEL_ERROR) * albedo)
+    known = albedo > 0
+    return np.where(known, np.sqrt(weights / np.where(known, variance, 1)), np.float32(0))
 
 
 def _prepared(lights: Array) -> tuple[Array, Array]:

@@ -31,6 +31,7 @@ from nlights_core.frames import Array, PixelGrid
 from nlights_core.images import Photograph, grey, reduced
 from nlights_core.levelling import Level, read_level, write_level
 from nlights_core.memory import require
+from nlights_core.noise import read_noise, write_noise
 from nlights_core.plates import block_size, continued, read_plate, write_plate
 from nlights_core.store import ArtefactRef, Progress, Store, Work, describe
 from nlights_core.verification import checked_array, checked_height, checked_plate
@@ -65,6 +66,7 @@ def _photographed(store: Store, tile: Tile, which: str) -> dict[str, Any]:
         "dark": store.digest(tile.dark) if tile.dark else None,
         "mask": store.digest(tile.mask) if tile.mask and which == "frames" else None,
         "encoding": tile.encoding.model_dump(mode="json"),
+        "sensor": tile.sensor.model_dump(mode="json") if tile.sensor else None,
         "field_mm": stand.field_mm if stand else None,
         "camera": stand.camera_position.tolist() if stand else None,
         "pixel_size_mm": tile.pixel_size_mm,
@@ -172,6 +174,7 @@ def plate(store: Store, tile: Tile, detrend: ImageDetrend, lights: ArtefactRef) 
         if "flats" in detrend.needs:
             with store.scratch() as scratch, darkroom(tile, scratch, flats=True) as room:
                 flats = _block_means(room, field, block, progress)
+                write_noise(folder, room.noise)
         shape = (len(field.lamps), len(y), len(x))
         reading = checked_plate(detrend, detrend.plate(flats, field, x, y), shape, info.channels)
         found = continued(reading, x, y, block * grid.pixel_size)
@@ -247,6 +250,8 @@ def normals(
             field = field.stronger(read_level(store.path(height)).strengths)
         removed = read_array(store.path(bias) / "bias.npy") if bias else None
         with store.scratch() as scratch, darkroom(tile, scratch) as room:
+            if plate:
+                room.noise = read_noise(store.path(plate)) or room.noise
             solving.solve(room, solver, field, flat, before, folder, progress, removed)
 
     return Work(ref, record, make)
@@ -305,6 +310,7 @@ def level(store: Store, tile: Tile, lights: ArtefactRef, plate: ArtefactRef, hei
         with store.scratch() as scratch, darkroom(tile, scratch) as room:
             grid = room.grid
             if field.near and grid.unit == "mm":
+                room.noise = read_noise(store.path(plate)) or room.noise
                 found = levelling.level(room, field, flat, before)
         write_level(folder, found)
         with BandWriter(folder / "height.npy", before.shape) as file:
@@ -321,13 +327,18 @@ def maps(
     height: ArtefactRef,
     white: ArtefactRef | None,
     trend: ArtefactRef | None,
+    integrated: ArtefactRef | None = None,
+    perspective: bool = False,
 ) -> Work:
     """Products that are images: normals, albedo, reflection, height, confidence, trend.
 
     ``white`` is the photographed plate, which makes the albedo absolute, where there is one.
+    ``integrated`` is the height of these normals before anything was done to it, where they shall
+    be made integrable with it, and ``perspective`` says whether its integrator followed the rays
+    of the camera.
     """
-    inputs = {"normals": normals, "height": height, "trend": trend}
-    facts = {"white_reflectance": tile.white_reflectance if white else None}
+    inputs = {"normals": normals, "height": height, "trend": trend, "integrated": integrated}
+    facts = {"white_reflectance": tile.white_reflectance if white else None, "perspective": perspective}
     ref, record = describe("maps", tile.artwork, tile.name, inputs=inputs, facts=facts)
 
     def make(folder: Path, progress: Progress) -> None:
@@ -339,6 +350,8 @@ def maps(
             white=tile.white_reflectance if white else None,
             icc=info.icc,
             progress=progress,
+            integrated=read_array(store.path(integrated) / "height.npy") if integrated else None,
+            perspective=perspective,
         )
 
     return Work(ref, record, make)

@@ -67,10 +67,13 @@ def checked_solution(algorithm: Algorithm, value: Any, shape: tuple[int, int, in
         raise _refuse(
             algorithm, f"should return unit normals; got a length of {np.sqrt(lengths[wrong][0]):.4g}"
         )
+    confidence = checked_array(algorithm, "confidence", value.confidence, pixels)
+    if (confidence < 0).any():
+        raise _refuse(algorithm, "should return the confidence as an angle in degrees; got a negative one")
     return Solution(
         normals,
         checked_array(algorithm, "albedo", value.albedo, pixels),
-        np.nan_to_num(checked_array(algorithm, "confidence", value.confidence, pixels)),
+        np.where(np.isfinite(lengths), confidence, np.float32(np.nan)),
         np.nan_to_num(checked_array(algorithm, "weights", value.weights, shape)),
     )
 

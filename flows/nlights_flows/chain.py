@@ -40,7 +40,7 @@ def digitise_tile(tile: Tile, recipe: Recipe, call: Call) -> dict[str, ArtefactR
     height = trend = None
     for _ in range(recipe.passes):
         normals = call(stages.normals, tile, recipe.normals, lights, plate, bias, height)
-        height = call(stages.height, tile, recipe.integrator, normals)
+        height = integrated = call(stages.height, tile, recipe.integrator, normals)
         if detrend.height:
             height = trend = call(stages.trend, tile, detrend.height, height)
         if _levels(recipe):
@@ -48,7 +48,8 @@ def digitise_tile(tile: Tile, recipe: Recipe, call: Call) -> dict[str, ArtefactR
 
     # Only a photographed plate knows what white is.
     white = plate if detrend.images and "flats" in detrend.images.needs else None
-    maps = call(stages.maps, tile, normals, height, white, trend)
+    made_with = (integrated, getattr(recipe.integrator, "perspective", False)) if recipe.integrable else ()
+    maps = call(stages.maps, tile, normals, height, white, trend, *made_with)
     mesh = call(stages.mesh, tile, maps, height)
     record = recipe_record(recipe)
     report = call(stages.report, tile, record, lights, plate, bias, normals, height, trend, maps, mesh)

@@ -2,8 +2,6 @@
 
 from typing import ClassVar
 
-from pydantic import Field
-
 from nlights_core import least_squares, robust_fitting
 from nlights_core.algorithms import Solution
 from nlights_core.frames import Array
@@ -21,18 +19,10 @@ class Robust(UsableLights):
 
     name: ClassVar[str] = "robust"
 
-    noise: float = Field(
-        default=0.005,
-        gt=0,
-        le=0.1,
-        description="standard deviation of a sample of weight 1 that reads 1: photon noise of a white "
-        "surface under the brightest lamp; 0.005 is that of 40000 electrons",
-    )
-
     def solve(self, images: Array, lights: Array, weights: Array) -> Solution:
         return robust_fitting.in_blocks(self._solved, images, lights, weights)
 
     def _solved(self, images: Array, lights: Array, weights: Array) -> Solution:
         usable = least_squares.lit(images, weights, self.shadow)
-        kept, found = robust_fitting.reweighted(images, lights, usable, self.noise, self.condition)
+        kept, found = robust_fitting.reweighted(images, lights, usable, self.condition)
         return least_squares.solution(images, lights, kept, found)

@@ -76,11 +76,16 @@ class LeastSquares(NormalSolver):
         scaled = np.linalg.solve(matrix, right[..., None])[..., 0]
         albedo = np.linalg.norm(scaled, axis=-1)
         normals = scaled / albedo[..., None]
+        inverse = np.linalg.inv(matrix)
+        along = np.einsum("hwi,hwij,hwj->hw", normals, inverse, normals)
+        component = np.sqrt((np.trace(inverse, axis1=2, axis2=3) - along) / 2)
+        sigma = component * np.sqrt(known.mean(axis=0) / 40_000) / albedo
+        confidence = np.where(good, np.degrees(1.51 * sigma), np.nan)
         normals[~good], albedo[~good] = np.nan, np.nan
         return Solution(
             normals.astype(np.float32),
             albedo.astype(np.float32),
-            good.astype(np.float32),
+            confidence.astype(np.float32),
             weights.astype(np.float32),
         )
 
@@ -334,10 +339,16 @@ class RestlessNormals(LeastSquares):
         return found._replace(normals=(found.normals + noise).astype(np.float32))
 
 
-class BoundlessConfidence(LeastSquares):
+class NegativeConfidence(LeastSquares):
     def solve(self, images, lights, weights):
         found = super().solve(images, lights, weights)
-        return found._replace(confidence=found.confidence * 8)
+        return found._replace(confidence=-found.confidence)
+
+
+class ConfidenceInRadians(LeastSquares):
+    def solve(self, images, lights, weights):
+        found = super().solve(images, lights, weights)
+        return found._replace(confidence=np.radians(found.confidence))
 
 
 class CorrectedHeight(Parabola):
@@ -549,7 +560,8 @@ CAUGHT = {
     RowsLeaningOnTheirBand: "each_pixel_stands_for_itself",
     GuessFromLightsInOnePlane: "lights_in_one_plane_give_nan",
     RestlessNormals: "twice_the_same",
-    BoundlessConfidence: "the_solution_is_float32_of_the_bands_shape",
+    NegativeConfidence: "the_solution_is_float32_of_the_bands_shape",
+    ConfidenceInRadians: "the_confidence_covers_68_percent_of_the_errors",
     CorrectedHeight: "a_smooth_deformation_is_found",
     WholeHeight: "fine_relief_is_left_to_the_artwork",
     UnknownTrend: "the_trend_is_float32_and_finite_where_the_height_is_not_known",

@@ -129,7 +129,7 @@ def test_every_map_has_its_picture_and_quantities_have_units(tmp_path):
         "Slope in degrees",
         "Residual in % of albedo",
         "Lights used: share of the pixels",
-        "Confidence, 0 (unknown) to 1",
+        "Uncertainty of the normals in °",
         "Reflection, on the scale of the albedo",
         "Light of Relio_2",
         "Trend in µm",

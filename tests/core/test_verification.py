@@ -35,12 +35,14 @@ def solution(**changes) -> Solution:
 
 
 def test_what_keeps_the_contract_passes_and_unknown_counts_for_nothing():
-    broken = solution(confidence=np.full((2, 3), np.nan, np.float32))
+    broken = solution(weights=np.full(SHAPE, np.nan, np.float32))
     found = checked_solution(LeastSquares(), broken, SHAPE)
-    np.testing.assert_array_equal(found.confidence, 0)
+    np.testing.assert_array_equal(found.weights, 0)
     normals = solution().normals.copy()
     normals[0, 0] = np.nan
-    assert np.isnan(checked_solution(LeastSquares(), solution(normals=normals), SHAPE).normals[0, 0]).all()
+    partly = checked_solution(LeastSquares(), solution(normals=normals), SHAPE)
+    assert np.isnan(partly.normals[0, 0]).all()
+    assert np.isnan(partly.confidence[0, 0])
 
 
 @pytest.mark.parametrize(
@@ -52,6 +54,7 @@ def test_what_keeps_the_contract_passes_and_unknown_counts_for_nothing():
         (solution(albedo=np.ones((2, 3), int)), "array of float32; got int64"),
         (solution(weights=np.ones((3, 2, 3), np.float32)), r"weights of shape \(4, 2, 3\)"),
         (solution(confidence=0.5), "confidence as an array"),
+        (solution(confidence=-solution().confidence), "angle in degrees; got a negative one"),
     ],
 )
 def test_a_solver_that_breaks_its_contract_is_named(value, words):

@@ -6,7 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from nlights_core.algorithms import NormalDetrend, NormalSolver, Solution
+from nlights_core.algorithms import PHOTONS, NormalDetrend, NormalSolver, Solution
 from nlights_core.fields import LightField, NormalField
 from nlights_core.frames import Array, PixelGrid
 from nlights_core.testing.contracts.algorithms import GRID, AlgorithmContract, check, check_array, holed
@@ -79,7 +79,7 @@ class NormalSolverContract(AlgorithmContract):
         self.check_exact(self.algorithm.solve(*self.lit(distant=True)))
 
     def test_the_solution_is_float32_of_the_bands_shape(self) -> None:
-        """Unit normals; confidence from 0 to 1; weights not negative."""
+        """Unit normals; confidence and weights not negative."""
         images, lights, weights = self.lit()
         found = self.algorithm.solve(images, lights, weights)
         shape = self.grid.shape
@@ -89,8 +89,18 @@ class NormalSolverContract(AlgorithmContract):
         check_array(found.weights, images.shape, "weights")
         length = np.linalg.norm(found.normals, axis=-1)
         check(np.abs(length - 1).max() < 1e-5, "normals must be unit vectors")
-        check(((found.confidence >= 0) & (found.confidence <= 1)).all(), "confidence must be from 0 to 1")
+        check((found.confidence >= 0).all(), "the confidence is an angle, and must not be negative")
         check((found.weights >= 0).all(), "weights must not be negative")
+
+    def test_the_confidence_covers_68_percent_of_the_errors(self) -> None:
+        """Degrees, under the photon noise that weights of 1 state."""
+        images, lights, weights = (np.concatenate([array] * 10, axis=1) for array in self.lit())
+        noise = np.random.default_rng(0).standard_normal(images.shape).astype(np.float32)
+        noisy = images + noise * np.sqrt(np.maximum(images, 0) / PHOTONS)
+        found = self.algorithm.solve(noisy, lights, weights)
+        angles = angles_between(found.normals, np.concatenate([self.true_normals()] * 10))
+        share = float(np.mean(angles <= found.confidence))
+        check(abs(share - 0.68) < 0.1, f"the confidence covers {share:.0%} of the errors, not 68 %")
 
     def test_samples_of_weight_0_are_not_used(self) -> None:
         """Neither a saturated value nor NaN may leak through a weight of 0."""
