@@ -16,9 +16,10 @@ from nlights_core.capture import Encoding, Sensor, Tile
 from nlights_core.errors import TileError
 from nlights_core.fields import LightField
 from nlights_core.frames import Array, PixelGrid
-from nlights_core.images import EYE, ImageInfo, Photograph, grey, is_saturated, probe
+from nlights_core.images import EYE, ImageInfo, Photograph, grey, is_saturated
 from nlights_core.noise import Noise, measure_noise
 from nlights_core.plates import Plate
+from nlights_core.surveys import grid_of, survey
 
 BAND_BYTES = 64 << 20
 """About what the images and lights of one band may take; a solver takes a few times as much."""
@@ -28,72 +29,6 @@ BLACK = 5e-4
 
 BURNT = 0.99
 """A frame with more than this share of saturated pixels says nothing."""
-
-
-def survey(tile: Tile) -> ImageInfo:
-    """Read the headers of all photographs of a tile and see that they fit together.
-
-    Returns
-    -------
-    ImageInfo
-        Of the frames, which are all alike.
-
-    Raises
-    ------
-    TileError
-        Naming the photograph that is missing, unreadable, or of another size or type.
-    """
-    frames = {f"frames.{lamp}": path for lamp, path in tile.frames.items()}
-    first_field, first_path = next(iter(frames.items()))
-    first = probe(first_path, tile.encoding)
-    flats = {f"flats.{lamp}": path for lamp, path in (tile.flats or {}).items()}
-    dark = {"dark": tile.dark} if tile.dark else {}
-    for name, path in {**frames, **flats, **dark}.items():
-        info = probe(path, tile.encoding)
-        for what, found, expected in (
-            ("size", f"{info.columns} x {info.rows} px", f"{first.columns} x {first.rows} px"),
-            ("depth", f"{info.channels} x {info.dtype}", f"{first.channels} x {first.dtype}"),
-        ):
-            if found != expected:
-                raise TileError(
-                    f"{path}: {name}: {what} {found}, but {first_field} ({first_path.name}) has {expected}; "
-                    "all photographs of a tile must be alike: photograph or export it again"
-                )
-    if tile.mask:
-        info = probe(tile.mask)
-        if (info.rows, info.columns) != (first.rows, first.columns):
-            raise TileError(
-                f"{tile.mask}: mask: size {info.columns} x {info.rows} px, but the frames have "
-                f"{first.columns} x {first.rows} px; draw the mask on a frame"
-            )
-    return first
-
-
-def grid_of(tile: Tile, info: ImageInfo) -> PixelGrid:
-    """Where the pixels of a tile are on the plane.
-
-    The stand's framed field sets the scale; without a stand the capture's ``pixel_size_mm``
-    does; without either the unit of length is the pixel.
-
-    Raises
-    ------
-    TileError
-        When the photographs are not of the shape of the stand's field: turned, or cropped.
-    """
-    if tile.stand is not None:
-        camera = tile.stand.camera_position
-        width, height = tile.stand.field_mm
-        if abs(info.columns * height / (info.rows * width) - 1) > 0.02 + 1 / min(info.rows, info.columns):
-            raise TileError(
-                f"{tile.artwork}/{tile.name}: frames: {info.columns} x {info.rows} px are not of the shape of "
-                f"the stand's field ({width:g} x {height:g} mm); turn or crop the photographs as the camera saw "
-                "the field, or correct field_mm in the stand's file"
-            )
-        size = tile.stand.field_mm[0] / info.columns
-        return PixelGrid(info.rows, info.columns, size, (camera[0], camera[1], camera[2]))
-    if tile.pixel_size_mm is not None:
-        return PixelGrid(info.rows, info.columns, tile.pixel_size_mm)
-    return PixelGrid(info.rows, info.columns, 1.0, unit="px")
 
 
 VIEW_COLUMNS = 300
@@ -305,12 +240,17 @@ class Darkroom:
             ).copy()
         if plate is None:
             mix = _mix(images, None)
-            weights /= self.noise.photons(lights.power.astype(np.float32), mix)[:, None, None]
+            # Without a plate it is not known where each lamp is bright: all weigh the same.
+            weights /= self.noise.photons(lights.power.astype(np.float32), mix).mean()
         else:
             images = images.copy()
             shares = plate.shares if images.shape[-1] == len(plate.shares) else None
             mix = _mix(images, shares)
-            relative = _relative(images, weights, vectors, ambient, lights, plate, points, self.noise, mix)
+            # The lens dims by the pixel, not by where the lamp's ray meets the plane.
+            pixels = None if height is None else self.grid.points(raw.start, raw.stop)[:2]
+            relative = _relative(
+                images, weights, vectors, ambient, lights, plate, points, pixels, self.noise, mix
+            )
             vectors, ambient = relative
         mixed = grey(images, shares)
         self.noise.with_readout(weights, mixed, mix)
@@ -347,6 +287,7 @@ def _relative(
     lights: LightField,
     plate: Plate,
     points: Array,
+    pixels: Array | None,
     noise: Noise,
     mix: Array,
 ) -> tuple[Array, Array | None]:
@@ -359,7 +300,7 @@ def _relative(
     relative = np.empty((len(images), *points.shape[1:], 3), np.float32)
     for i, power in enumerate(lights.power.astype(np.float32)):
         x, y = origins[i if len(origins) > 1 else 0]
-        reading = plate.at(i, x, y)
+        reading = plate.at(i, x, y, pixels)
         # A plate that is not known, or nearly dark, leaves the sample unknown.
         usable: Array = np.all(np.isfinite(reading) & (reading > 1e-6 * plate.brightest), axis=-1)
         reading = np.where(usable[..., None], reading, np.float32(1))

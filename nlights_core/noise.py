@@ -89,7 +89,7 @@ class Noise:
         # A black pixel has readout noise only, and its normal will not be known.
         reading = np.maximum(reading, np.finfo(np.float32).tiny)
         for weight in weights:
-            np.divide(weight * weight * reading, weight * reading + constant, out=weight)
+            np.divide(weight, 1 + constant / (np.where(weight > 0, weight, 1) * reading), out=weight)
 
     @classmethod
     def of_sensor(cls, sensor: Sensor, channels: int, dark: bool) -> Noise:

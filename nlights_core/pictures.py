@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nlights_core.figures import figure_of
 from nlights_core.frames import Array
-from nlights_core.quality import figure_of
 
 LONGEST = 1200
 """Longest side of a picture, px."""

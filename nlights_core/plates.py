@@ -11,6 +11,7 @@ import numpy as np
 
 from nlights_core.arrays import write_array
 from nlights_core.errors import TileError
+from nlights_core.fields import LightField
 from nlights_core.frames import Array, PixelGrid
 
 COLUMNS = 256
@@ -19,6 +20,10 @@ COLUMNS = 256
 MARGIN = 0.15
 """How far past the frame a plate is continued, as a share of its longer side: a lamp at 15
 degrees reaches 40 mm past the frame for a surface 8 mm high."""
+
+UNKNOWN_LENS = 0.5
+"""Vignetting before the plate is looked at, and its standard deviation: a lens darkens the corners by
+the natural law (1), unless the raw developer has undone it (0)."""
 
 
 @dataclass(frozen=True)
@@ -33,12 +38,18 @@ class Plate:
         x and y of the first sample, mm.
     step : float
         Distance of samples, mm.
+    camera : tuple of 3 floats, optional
+        Centre of projection, mm.  None: the readings have no vignetting.
+    vignetting : float
+        How much vignetting the readings have, see `vignetting`.
     """
 
     logarithm: Array
     left: float
     top: float
     step: float
+    camera: tuple[float, float, float] | None = None
+    vignetting: float = 0.0
 
     @cached_property
     def brightest(self) -> float:
@@ -63,8 +74,11 @@ class Plate:
         rows = np.abs(y) < grid.rows * grid.pixel_size / 2
         return np.asarray(np.exp(self.logarithm[:, rows][:, :, columns]))
 
-    def at(self, lamp: int, x: Array, y: Array) -> Array:
+    def at(self, lamp: int, x: Array, y: Array, pixels: Array | None = None) -> Array:
         """Read the plate at any points, by linear interpolation.
+
+        A lamp's light belongs to the point of the plane that it meets, but the lens's vignetting
+        belongs to the pixel through which that light is seen.
 
         Parameters
         ----------
@@ -72,6 +86,8 @@ class Plate:
             Index of the lamp.
         x, y : (h, w) float32 arrays
             Points of the plane, mm.
+        pixels : (2, h, w) array, optional
+            x and y where the rays of the pixels meet the plane, mm; None: they are the points.
 
         Returns
         -------
@@ -85,12 +101,89 @@ class Plate:
         out = np.empty((*x.shape, channels), np.float32)
         for c in range(channels):
             map_coordinates(self.logarithm[lamp, ..., c], places, out[..., c], order=1, mode="nearest")
+        if pixels is not None and self.camera is not None:
+            seen, met = (natural_vignetting(self.camera, *place) for place in (pixels, (x, y)))
+            out += (np.float32(self.vignetting) * (seen - met))[..., None]
         return np.exp(out, out=out)
 
 
 def block_size(grid: PixelGrid) -> int:
     """Edge of the blocks that a plate of this grid is averaged over, px."""
     return max(1, min(round(max(grid.rows, grid.columns) / COLUMNS), min(grid.shape) // 4))
+
+
+def natural_vignetting(camera: tuple[float, float, float], x: Array, y: Array) -> Array:
+    """Logarithm of the fourth power of the cosine between the camera's axis and a ray.
+
+    Parameters
+    ----------
+    camera : tuple of 3 floats
+        Centre of projection, mm; it looks along -z.
+    x, y : arrays of one shape
+        Where the ray meets the plane, mm.
+
+    Returns
+    -------
+    array of that shape and precision
+    """
+    squared = (x - camera[0]) ** 2 + (y - camera[1]) ** 2
+    return np.asarray(-2 * np.log1p(squared / camera[2] ** 2))
+
+
+def vignetting(
+    reading: Array, lights: LightField, x: Array, y: Array, camera: tuple[float, float, float]
+) -> float:
+    """How much the lens darkens a photographed plate, as a multiple of the natural law's logarithm.
+
+    What all lamps' readings have in common is not yet the lens's: eight lenses aimed at the
+    centre darken the corners too.  But a lamp's beam is round across its axis and so longer on the
+    plane than wide, and a lens's vignetting is round on the plane.
+
+    Parameters
+    ----------
+    reading : (L, h, w, C) array
+        What the plate reads; NaN where not known.
+    lights : LightField
+        Near lamps.
+    x, y : (w,) and (h,) arrays
+        Centres of the samples, mm.
+    camera : tuple of 3 floats
+        Centre of projection, mm.
+
+    Returns
+    -------
+    float
+        1: the natural law, the fourth power of the cosine; 0: none.
+
+    Notes
+    -----
+    Of each lamp's logarithm the inverse square law and the cosine are taken off, which its position
+    tells.  What remains is fitted by the lamp's strength, the exponent of its beam, a small error
+    of its aim in two directions, and vignetting, which is the same for all lamps.  How far
+    single lamps disagree about it says how well it is known; `UNKNOWN_LENS` is weighed in
+    accordingly.
+    """
+    assert lights.positions is not None
+    points = np.stack([*np.meshgrid(x, y), np.zeros((len(y), len(x)))])
+    natural = natural_vignetting(camera, points[0], points[1])
+    size, share = np.zeros((2, len(reading)))
+    for i, position in enumerate(lights.positions):
+        seen = reading[i].mean(axis=-1, dtype=np.float64)
+        known = np.isfinite(seen) & (seen > 0)
+        ray = (position[:, None, None] - points)[:, known]
+        distance = np.linalg.norm(ray, axis=0)
+        # The beam's own axis is taken through the centre of the field.
+        along = position @ ray / np.linalg.norm(position)
+        beam = np.stack([np.ones_like(along), np.log(along / distance), ray[0] / along, ray[1] / along])
+        rest = np.log(seen[known]) - np.log(ray[2] / distance**3)
+        basis = np.linalg.qr(beam.T)[0]
+        lens = natural[known] - basis @ (natural[known] @ basis)
+        size[i], share[i] = lens @ lens, lens @ rest
+    found = share.sum() / size.sum()
+    count = len(size)
+    scatter = np.sum((share - size * found) ** 2) / size.sum() ** 2 * count / max(count - 1, 1)
+    trust = UNKNOWN_LENS**2 / (UNKNOWN_LENS**2 + scatter) if count > 1 else 0.0
+    return float(trust * found + (1 - trust) * UNKNOWN_LENS)
 
 
 def continued(reading: Array, x: Array, y: Array, step: float) -> Plate:
@@ -141,15 +234,18 @@ def continued(reading: Array, x: Array, y: Array, step: float) -> Plate:
 
 
 def write_plate(folder: Path, plate: Plate) -> None:
-    """Write a plate as ``plate.npy`` and, where its samples are, ``plate.json``."""
+    """Write a plate as ``plate.npy`` and, where its samples are and through what lens, ``plate.json``."""
     write_array(folder / "plate.npy", plate.logarithm)
-    place = {"left": plate.left, "top": plate.top, "step": plate.step}
+    names = ("left", "top", "step", "camera", "vignetting")
+    place = {name: getattr(plate, name) for name in names}
     (folder / "plate.json").write_text(json.dumps(place) + "\n", encoding="utf-8")
 
 
 def read_plate(folder: Path) -> Plate:
     """Read what `write_plate` wrote."""
     place = json.loads((folder / "plate.json").read_text(encoding="utf-8"))
+    if place["camera"] is not None:
+        place["camera"] = tuple(place["camera"])
     return Plate(np.load(folder / "plate.npy"), **place)
 
 

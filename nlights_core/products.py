@@ -1,12 +1,9 @@
-"""Products: what leaves the system for a tile, written from its artefacts and published whole."""
+"""Products: what leaves the system for a tile, written from its artefacts."""
 
 from __future__ import annotations
 
 import json
-import os
-import shutil
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -14,15 +11,18 @@ from typing import Any
 import numpy as np
 
 from nlights_core import __version__, export, meshes, quality
+from nlights_core.agreement import read_agreement
 from nlights_core.arrays import BandWriter, read_array
 from nlights_core.capture import Tile
 from nlights_core.errors import TileError
+from nlights_core.fields import LightField
 from nlights_core.frames import Array, PixelGrid
 from nlights_core.integrability import integrable_normals, integrable_uncertainty
 from nlights_core.levelling import read_level
 from nlights_core.map_statistics import sampled
 from nlights_core.plates import read_plate
-from nlights_core.store import RECORD, ArtefactRef, Progress, Store, draft_name, sweep
+from nlights_core.position_uncertainty import position_uncertainty
+from nlights_core.store import RECORD, ArtefactRef, Progress, Store
 
 FRAME = "plane frame: x right, y up, z from the artwork to the camera; NaN where not known"
 
@@ -240,8 +240,18 @@ def write_report(
     if "bias" in made:
         maps["bias"] = read_array(made["bias"] / "bias.npy")
     numbers = quality.measure(maps, grid, tile.lamps)
+    numbers += quality.of_agreement(read_agreement(store.path(normals)), tile.lamps)
+    lights = json.loads((made["lights"] / "lights.json").read_text())
+    white = json.loads((made["maps"] / RECORD).read_text())["facts"]["white_reflectance"]
+    uncertainty = tile.stand.uncertainty_mm if tile.stand else None
+    field = LightField.from_record(lights)
+    wrong = uncertainty and position_uncertainty(
+        maps["normals"], grid, field, uncertainty, photographed=white is not None
+    )
+    numbers += quality.of_positions(wrong or None, uncertainty)
     if height.stage == "level":
         numbers += quality.of_level(read_level(store.path(height)))
+    numbers = quality.grouped(numbers)
     provenance = {
         "nlights": __version__,
         "artwork": tile.artwork,
@@ -263,11 +273,11 @@ def write_report(
             "tile": tile.name,
             "origin_mm": list(tile.origin_mm),
             "stand": tile.stand.name if tile.stand else None,
-            "uncertainty_mm": tile.stand.uncertainty_mm if tile.stand else None,
-            "white": json.loads((made["maps"] / RECORD).read_text())["facts"]["white_reflectance"],
+            "uncertainty_mm": uncertainty,
+            "white": white,
             "recipe": record["facts"]["recipe"],
             "lamps": list(tile.lamps),
-            "lights": json.loads((made["lights"] / "lights.json").read_text()),
+            "lights": lights,
             "mesh": json.loads((made["mesh"] / "mesh.json").read_text()),
             "version": __version__,
             "key": record["key"],
@@ -301,92 +311,6 @@ def _lineage(store: Store, refs: Mapping[str, ArtefactRef | None]) -> list[dict[
         if ref is not None:
             visit(ref.folder)
     return list(found.values())
-
-
-def publish(store: Store, tile: Tile, refs: Mapping[str, ArtefactRef], out: Path) -> Path:
-    """Put a tile's products where people look for them: ``out/<artwork>/<tile>/``.
-
-    The folder appears whole.  Files are hard links into the store where the file system allows
-    (so that they take no second place; they are read-only for that reason), copies otherwise.
-    What people added to the folder is kept, but an evaluation of other products is not.
-
-    Parameters
-    ----------
-    store : Store
-    tile : Tile
-    refs : mapping
-        The artefacts "maps", "mesh" and "report".
-    out : Path
-        Folder of all products.
-
-    Returns
-    -------
-    Path
-        The tile's folder.
-    """
-    target = out / tile.artwork / tile.name
-    former = target.parent / f".former-{tile.name}"
-    sweep(target.parent)
-    if former.is_dir():  # a run was killed between two renames: what was there before comes back
-        if not target.exists():
-            former.rename(target)
-        shutil.rmtree(former, ignore_errors=True)
-    files = [
-        path
-        for name in ("maps", "mesh", "report")
-        for path in sorted(store.path(refs[name]).iterdir())
-        if path.name in WHAT
-    ]
-    if _published(target, refs["report"], files):
-        return target
-    target.parent.mkdir(parents=True, exist_ok=True)
-    draft = target.parent / draft_name()
-    draft.mkdir()
-    try:
-        for path in files:
-            _place(path, draft / path.name)
-        if target.is_dir():
-            for path in target.iterdir():
-                if path.name not in WHAT and path.name != "evaluation.json":
-                    _copy(path, draft / path.name)
-            target.rename(former)
-        draft.rename(target)
-        shutil.rmtree(former, ignore_errors=True)
-    except OSError:
-        if not _published(target, refs["report"], files):  # else another run was faster
-            raise
-    finally:
-        shutil.rmtree(draft, ignore_errors=True)
-        with suppress(OSError):  # the artwork's folder, where nothing could be put into it
-            target.parent.rmdir()
-    return target
-
-
-def _published(target: Path, report: ArtefactRef, files: list[Path]) -> bool:
-    try:
-        provenance = json.loads((target / "provenance.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return False
-    return provenance.get("key") == report.key and all((target / path.name).exists() for path in files)
-
-
-def _copy(source: Path, target: Path) -> None:
-    """Copy what people added, a file or a folder; the original stays until all is in place."""
-    if source.is_dir():
-        shutil.copytree(source, target, symlinks=True)
-    else:
-        shutil.copy2(source, target, follow_symlinks=False)
-
-
-def _place(source: Path, target: Path) -> None:
-    source.chmod(0o444)
-    try:
-        os.link(source, target)
-    except OSError:
-        try:
-            shutil.copyfile(source, target)
-        except OSError as fault:  # it names the source, which is not at fault
-            raise OSError(fault.errno, fault.strerror, str(target)) from fault
 
 
 def _write_json(path: Path, value: Any) -> None:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from nlights_core.figures import NOT_IN_RECIPE, NOT_MEASURED, Number
 from nlights_core.frames import Array, PixelGrid
 from nlights_core.map_statistics import (
     best_plane,
@@ -20,85 +20,9 @@ from nlights_core.map_statistics import (
 )
 
 if TYPE_CHECKING:
+    from nlights_core.agreement import Agreement
     from nlights_core.levelling import Level
-
-NOT_MEASURED = "not measured"
-NOT_IN_RECIPE = "not in this recipe"
-
-FINEST = {
-    "°": 0.01,
-    "%": 0.01,
-    "% of pixels": 0.01,
-    "% of albedo": 0.01,
-    "mm": 0.001,
-    "µm": 0.01,
-    "px": 0.001,
-}
-"""By unit, the smallest step that a person should read; smaller digits are arithmetic, not measurement."""
-
-
-@dataclass(frozen=True)
-class Number:
-    """One measured quantity.
-
-    Parameters
-    ----------
-    group : str
-        Heading under which it is listed.
-    name : str
-        What it is.
-    value : float or None
-        None: there is none.  That is never a pass.
-    unit : str
-        Unit of the value.
-    meaning : str
-        What it tells, in one plain sentence.
-    missing : str
-        What is to be said where there is no value: `NOT_MEASURED`, or `NOT_IN_RECIPE` where no step
-        of the recipe could have given one.
-    """
-
-    group: str
-    name: str
-    value: float | None
-    unit: str
-    meaning: str
-    missing: str = NOT_MEASURED
-
-
-def figure_of(value: float | None, unit: str = "") -> str:
-    r"""A value with three significant digits, as a person writes it, and none finer than `FINEST`.
-
-    Examples
-    --------
-    >>> [figure_of(v) for v in (None, 0.0, 98.123, 0.01234, 11656.0)]
-    ['not measured', '0', '98.1', '0.0123', '11\u202f656']
-    >>> [figure_of(v, "°") for v in (0.00042, 0.01234, 1.2345)]
-    ['< 0.01', '0.01', '1.23']
-
-    Not quite all is not all:
-
-    >>> [figure_of(v, "% of pixels") for v in (99.997, 100.0)]
-    ['> 99.9', '100']
-    """
-    if value is None or not np.isfinite(value):
-        return NOT_MEASURED
-    if value == 0:
-        return "0"
-    finest, size = FINEST.get(unit, 0.0), abs(value)
-    decimals = max(0, 2 - int(np.floor(np.log10(size))))
-    if size < finest:
-        text = f"< {finest:g}" if value > 0 else f"> -{finest:g}"
-    elif unit == "% of pixels" and 99.95 <= value < 100:
-        text = "> 99.9"
-    elif size >= 1000:
-        text = f"{value:,.0f}".replace(",", "\u202f")
-    elif size < 1e-4:
-        digits, power = f"{value:.1e}".split("e")
-        text = f"{digits} \N{MULTIPLICATION SIGN} 10^{int(power)}"
-    else:
-        text = f"{value:.{min(decimals, round(-np.log10(finest))) if finest else decimals}f}"
-    return text.replace("-", "\N{MINUS SIGN}")
+    from nlights_core.position_uncertainty import PositionUncertainty
 
 
 def _surface(maps: Mapping[str, Array], grid: PixelGrid) -> list[Number]:
@@ -321,6 +245,66 @@ def measure(maps: Mapping[str, Array], grid: PixelGrid, lamps: Sequence[str] = (
         where it could not be measured, and `Number.missing` says why.
     """
     return [*_lights(maps), *_fit(maps, grid), *_surface(maps, grid), *_removed(maps, grid, lamps)]
+
+
+def grouped(numbers: Sequence[Number]) -> list[Number]:
+    """The same numbers with those of a group together, groups in the order of their first."""
+    groups = list(dict.fromkeys(number.group for number in numbers))
+    return sorted(numbers, key=lambda number: groups.index(number.group))
+
+
+def of_agreement(found: Agreement, lamps: Sequence[str]) -> list[Number]:
+    """What the photographs say of the model: residuals against the noise, lamps held out."""
+    known = [(value, lamp) for value, lamp in zip(found.held_out, lamps, strict=True) if value is not None]
+    mean = 100 * float(np.sqrt(np.mean([value**2 for value, _ in known]))) if known else None
+    worst, lamp = max(known, default=(None, ""))
+    return [
+        Number(
+            "Agreement",
+            "Residual in units of the noise, median",
+            found.surprise,
+            "",
+            "1: the typical pixel differs from the model by the photographs' noise and nothing else. Well "
+            "above: gloss, wrong lamp positions, or something moved.",
+        ),
+        Number(
+            "Agreement",
+            "Held-out lamp, rms",
+            mean,
+            "% of albedo",
+            "How far each photograph is from the one that the other lamps predict: the model's error where "
+            "nothing was fitted to.",
+        ),
+        Number(
+            "Agreement",
+            f"Held-out lamp, worst ({lamp})" if lamp else "Held-out lamp, worst",
+            None if worst is None else 100 * worst,
+            "% of albedo",
+            "The lamp that the others predict worst: look at its photograph, its flat and its position first.",
+        ),
+    ]
+
+
+def of_positions(found: PositionUncertainty | None, uncertainty: float | None) -> list[Number]:
+    """What the uncertainty of the lamps' measured positions does to normals and height."""
+    said = f"{uncertainty:g} mm" if uncertainty else "an unknown amount"
+    return [
+        Number(
+            "Agreement",
+            "Uncertainty of the normals by the lamps' positions",
+            None if found is None else found.normals,
+            "°",
+            f"Each lamp's position is uncertain by {said} per axis; this is the angle that it may turn the "
+            "normals by, smoothly over the field (68 %).",
+        ),
+        Number(
+            "Agreement",
+            "Uncertainty of the height by the lamps' positions",
+            None if found is None else found.height,
+            "mm",
+            "The bow that the same may give the height, as a standard deviation over the field.",
+        ),
+    ]
 
 
 def of_level(level: Level) -> list[Number]:

@@ -50,7 +50,7 @@ class Recipe(Record):
     )
 
     integrable: bool = Field(
-        default=True,
+        default=False,
         description="take out of the normals what no surface can have: the part that the height "
         "integrated from them does not follow",
     )
@@ -248,6 +248,6 @@ def recipe_schema(registry: Registry | None = None) -> dict[str, Any]:
             "normals": choice("normals"),
             "integrator": choice("integrator"),
             "passes": {"type": "integer", "minimum": 1, "maximum": 5, "default": 1},
-            "integrable": {"type": "boolean", "default": True},
+            "integrable": {"type": "boolean", "default": False},
         },
     }

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from nlights_core.chapters import Views, chapters
+from nlights_core.figures import Number, figure_of
 from nlights_core.frames import Array, PixelGrid
-from nlights_core.quality import Number, figure_of
 
 
 def _length(value: float) -> str:

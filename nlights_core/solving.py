@@ -3,16 +3,19 @@
 Files, all on the photograph's grid: ``normals.npy`` (H, W, 3), ``albedo.npy`` (H, W, C),
 ``apparent.npy`` (H, W, C), ``confidence.npy`` and ``residual.npy`` (H, W), all float32, and
 ``used.npy``, ``saturated.npy`` and ``shadow.npy`` (H, W) uint8: counts of lights.  ``frames.npy``
-(L, h, w, C) float32 are small views of the photographs.
+(L, h, w, C) float32 are small views of the photographs.  ``agreement.json`` is what
+`nlights_core.agreement` found.
 """
 
 from __future__ import annotations
 
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
+from nlights_core.agreement import AgreementMeter, write_agreement
 from nlights_core.algorithms import NormalSolver, Solution
 from nlights_core.arrays import BandWriter, write_array
 from nlights_core.development import Band, Darkroom
@@ -75,6 +78,7 @@ def solve(
         "saturated": (shape, np.uint8),
         "shadow": (shape, np.uint8),
     }
+    meter = AgreementMeter(room.grid, partial(_solved, solver))
     with ExitStack() as stack:
         out = {
             name: stack.enter_context(BandWriter(folder / f"{name}.npy", *kind))
@@ -95,7 +99,9 @@ def solve(
             out["used"].write(_count(found.weights > 0))
             out["saturated"].write(_count(band.saturated))
             out["shadow"].write(_count(_shadowed(band)))
+            meter.add(band)
             progress(band.stop / room.grid.rows)
+    write_agreement(folder, meter.found())
     write_array(folder / "frames.npy", room.views())
 
 

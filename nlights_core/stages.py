@@ -8,6 +8,7 @@ puts; an algorithm never sees a file, and a stage never sees Prefect.
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,23 +25,22 @@ from nlights_core.algorithms import (
 )
 from nlights_core.arrays import BandWriter, read_array, write_array
 from nlights_core.capture import Tile
-from nlights_core.development import Darkroom, bands, darkroom, grid_of, survey
+from nlights_core.development import Darkroom, bands, darkroom
 from nlights_core.errors import TileError
 from nlights_core.fields import HeightMap, LightField, NormalField
 from nlights_core.frames import Array, PixelGrid
-from nlights_core.images import Photograph, grey, reduced
+from nlights_core.images import Photograph, reduced
 from nlights_core.levelling import Level, read_level, write_level
 from nlights_core.memory import require
 from nlights_core.noise import read_noise, write_noise
-from nlights_core.plates import block_size, continued, read_plate, write_plate
+from nlights_core.plates import block_size, continued, read_plate, vignetting, write_plate
+from nlights_core.refinement import refined
 from nlights_core.store import ArtefactRef, Progress, Store, Work, describe
+from nlights_core.surveys import grid_of, survey
 from nlights_core.verification import checked_array, checked_height, checked_plate
 
 FLATS = "_flats"
 """Where artefacts go that belong to a flat set, not to a tile; no tile can have this name."""
-
-SAMPLES = 5000
-"""How many pixels the refinement of lamp strengths looks at."""
 
 
 def _photographed(store: Store, tile: Tile, which: str) -> dict[str, Any]:
@@ -121,31 +121,10 @@ def lights(store: Store, tile: Tile, model: LightModel) -> Work:
                     f"{', '.join(field.lamps)}, but the frames are of {', '.join(tile.lamps)}"
                 )
             if model.refine:
-                field = _refined(tile, field, model.prior, scratch)
+                field = refined(tile, field, model.prior, scratch)
         _write_json(folder / "lights.json", field.record())
 
     return Work(ref, record, make)
-
-
-def _refined(tile: Tile, field: LightField, prior: float, scratch: Path) -> LightField:
-    """Fit strengths and ambient light to a sample of the photographs."""
-    from nlights_core import strengths
-
-    with darkroom(tile, scratch) as room:
-        every = max(1, int(np.sqrt(room.grid.rows * room.grid.columns / (8 * SAMPLES))))
-        images, vectors = [], []
-        for start, stop in bands(room.grid, len(field.lamps) * 36):
-            raw = room.raw(start, stop, field)
-            usable = raw.inside & ~raw.saturated.any(axis=0)
-            rows, columns = np.nonzero(usable[::every, ::every])
-            points = room.grid.points(start, stop)
-            light = np.broadcast_to(field.vectors(points), (len(field.lamps), *usable.shape, 3))
-            images.append(grey(raw.images)[:, rows * every, columns * every])
-            vectors.append(light[:, rows * every, columns * every])
-        room.check()
-    samples, light = np.concatenate(images, axis=1), np.concatenate(vectors, axis=1)
-    chosen = np.random.default_rng(0).permutation(samples.shape[1])[:SAMPLES]
-    return strengths.refine(field, samples[:, chosen], light[:, chosen], prior)
 
 
 def read_lights(store: Store, ref: ArtefactRef) -> LightField:
@@ -178,6 +157,9 @@ def plate(store: Store, tile: Tile, detrend: ImageDetrend, lights: ArtefactRef) 
         shape = (len(field.lamps), len(y), len(x))
         reading = checked_plate(detrend, detrend.plate(flats, field, x, y), shape, info.channels)
         found = continued(reading, x, y, block * grid.pixel_size)
+        if flats is not None and grid.camera is not None and field.near:
+            lens = vignetting(reading, field, x, y, grid.camera)
+            found = replace(found, camera=grid.camera, vignetting=lens)
         write_plate(folder, found)
 
     return Work(ref, record, make)

@@ -9,6 +9,10 @@ least squares fit over all b_j, s_i and alpha_i has directions in which the resi
 changes while the normals do: a common scale, two tilts of a flat artwork, three ambient
 patterns ``alpha_i = beta . l_i``.  PSBox leaves them free and loses degrees; here a prior at the
 given lights (s = 1, alpha = 0) holds them.
+
+No surface is quite Lambertian, and what that does to the photographs must not pass for lamps.  It
+changes with the normals, which strengths do not: so a lamp is believed the less, the more its
+residuals depend on the normals, and ambient light only where it exceeds such faults.
 """
 
 from __future__ import annotations
@@ -30,7 +34,8 @@ MOST_INDEPENDENT = 10.0
 """However many samples agree, they count as no more than these: noise in b_j pretends to reveal
 what it cannot, in proportion to the number of samples, and would overrule the prior."""
 SYSTEMATIC_PENALTY = 10.0
-"""How much more than noise a variance counts that pixels of similar normals have in common."""
+"""How much more than noise a variance counts that pixels of similar normals have in common: of a
+fault that changes slowly with the normals, most hides in the scaled normals and the strengths."""
 LEAST_NOISE = 3e-4
 """Relative noise that is taken for granted."""
 MOST_SAMPLES = 100_000
@@ -137,8 +142,10 @@ def refine_strengths(
 
     The fit runs twice.  The first time it follows the samples closely; its residuals tell noise
     (each sample for itself) from the model's own faults (common to pixels of similar normals:
-    gloss, interreflection, wrong directions).  The second time the samples count by that: faults
-    that are systematic do not average out, however many pixels share them.
+    gloss, interreflection, wrong directions).  The second time each lamp's samples count by that:
+    faults that are systematic do not average out, however many pixels share them.  Ambient light
+    that is then no larger than the faults is one of them (a falloff flatter than Lambert's looks
+    like ambient light): the fit is done again without it.
 
     References
     ----------
@@ -147,13 +154,17 @@ def refine_strengths(
     samples = _lit_samples(images, vectors, shadow)
     lamps = samples.values.shape[1]
     given = np.array([prior / STRENGTH_DEVIATION**2] * lamps + [prior / AMBIENT_DEVIATION**2] * lamps)
-    held = np.zeros(2 * lamps, bool)
-    held[lamps:] = not with_ambient
+    free = np.arange(2 * lamps if with_ambient else lamps)
     start = _Estimate(np.ones(lamps), np.zeros(lamps), _scaled_normals(samples))
-    estimate = _descend(samples, start, given, held, None, robust)
+    estimate = _descend(samples, start, given, free, None, robust)
     if prior == 0:
         return estimate.strength, estimate.ambient
-    estimate = _descend(samples, start, given, held, _variance(samples, estimate), robust)
+    variance = _variance(samples, estimate)
+    estimate = _descend(samples, start, given, free, variance, robust)
+    brightness = np.median(np.linalg.norm(estimate.scaled, axis=1))
+    if np.mean((estimate.ambient * brightness) ** 2) < variance.mean():
+        without = estimate._replace(ambient=np.zeros(lamps))
+        estimate = _descend(samples, without, given, free[:lamps], variance, robust)
     mean = estimate.strength.mean()
     return estimate.strength / mean, estimate.ambient / mean
 
@@ -215,8 +226,8 @@ def _trust(samples: _Samples, residual: Array, deviation: float) -> Array:
     return np.asarray(samples.usable / (1 + (residual / (2.385 * deviation)) ** 2))
 
 
-def _variance(samples: _Samples, estimate: _Estimate) -> float:
-    """Variance of one sample of the mean fit: noise that averages out, faults that do not.
+def _variance(samples: _Samples, estimate: _Estimate) -> Array:
+    """Variance of one sample of the mean fit, (L,): noise averages out, faults do not.
 
     Pixels are sorted into groups of similar normals.  What the residuals of a lamp have in
     common within a group, beyond what chance gives, is systematic.
@@ -236,33 +247,33 @@ def _variance(samples: _Samples, estimate: _Estimate) -> float:
     mean /= np.maximum(total, 1e-12)
     chance = deviation**2 / np.maximum(total, 1e-12)
     seen = total >= 5
-    systematic = max(0.0, float(np.mean((mean**2 - chance)[seen]))) if seen.any() else 0.0
-    return SYSTEMATIC_PENALTY * systematic + deviation**2 / MOST_INDEPENDENT
+    excess = np.where(seen, mean**2 - chance, 0).sum(axis=0) / np.maximum(seen.sum(axis=0), 1)
+    # A fault of one lamp shows in the residuals of all, for it bends the scaled normals.
+    systematic = (np.maximum(excess, 0) + max(0.0, float(excess.mean()))) / 2
+    return np.asarray(SYSTEMATIC_PENALTY * systematic + deviation**2 / MOST_INDEPENDENT)
 
 
 def _descend(
     samples: _Samples,
     estimate: _Estimate,
     given: Array,
-    held: Array,
-    variance: float | None,
+    free: Array,
+    variance: Array | None,
     robust: bool,
 ) -> _Estimate:
     """Gauss-Newton steps until no strength changes by more than 1e-4.
 
-    ``given`` (2 L,) are the precisions of the prior and ``held`` the unknowns that stay where
-    they are; ``variance`` is that of one sample of the mean fit (None: as if all was noise).
+    ``given`` (2 L,) are the precisions of the prior and ``free`` the unknowns that may change;
+    ``variance`` (L,) is that of one sample of the mean fit (None: as if all was noise).
     """
     lamps = samples.values.shape[1]
-    free = np.flatnonzero(~held)
     for _ in range(40):
         residual = _residual(samples, estimate)
         deviation = _deviation(samples, residual)
         trust = _trust(samples, residual, deviation) if robust else samples.usable.astype(float)
-        curvature, slope, back = _normal_equations(samples.lights, trust, residual, estimate)
         # The samples count as a mean, not as a sum: more pixels are not more independent ones.
-        mean_of = len(samples.values) * (deviation**2 / MOST_INDEPENDENT if variance is None else variance)
-        curvature, slope = curvature / mean_of, slope / mean_of
+        trust /= len(trust) * (deviation**2 / MOST_INDEPENDENT if variance is None else variance)
+        curvature, slope, back = _normal_equations(samples.lights, trust, residual, estimate)
         curvature[np.diag_indices(2 * lamps)] += given
         slope -= given * np.concatenate([estimate.strength - 1, estimate.ambient])
         step = np.zeros(2 * lamps)

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from nlights_core import products
 from nlights_core.capture import Tile
 from nlights_core.errors import NlightsError
+from nlights_core.publishing import publish
 from nlights_core.recipe import Recipe
 from nlights_core.store import ArtefactRef, Store
 from nlights_flows.chain import digitise_tile
@@ -75,7 +75,7 @@ def run_tile(tile: Tile, recipe: Recipe, store: Store, out: Path, call: Callable
     Path
         The folder of the products.
     """
-    return products.publish(store, tile, digitise_tile(tile, recipe, call), out)
+    return publish(store, tile, digitise_tile(tile, recipe, call), out)
 
 
 def run_directly(tile: Tile, recipe: Recipe, store: Store, out: Path, watch: Watch) -> Outcome:

@@ -18,13 +18,13 @@ import tifffile
 
 from nlights_core.capture import Tile
 from nlights_core.configurations import load_stand
-from nlights_core.development import grid_of, survey
 from nlights_core.errors import NlightsError
 from nlights_core.frames import Array, PixelGrid
 from nlights_core.manifest import load_capture
 from nlights_core.recipe import Recipe
 from nlights_core.registry import installed
 from nlights_core.store import ArtefactRef, Store
+from nlights_core.surveys import grid_of, survey
 from nlights_core.testing.evaluation import angles_between
 from nlights_core.testing.simulation import simulate
 from nlights_flows.chain import digitise_tile

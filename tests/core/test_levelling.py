@@ -68,6 +68,26 @@ def test_lamps_five_millimetres_off_hardly_move_the_level(scene, tmp_path):
     assert result.offset == pytest.approx(0, abs=0.3)
 
 
+def test_noise_is_not_taken_for_height(tmp_path):
+    simulate(tmp_path / "c", load_stand("vertical-dark"), scene="plane", width=240, seed=4)
+    random = np.random.default_rng(5)
+    for path in (tmp_path / "c").glob("light_*.tif"):
+        frame = tifffile.imread(path)
+        noisy = frame + random.normal(0, 1500, frame.shape)
+        tifffile.imwrite(path, np.clip(np.rint(noisy), 0, 65534).astype(np.uint16), photometric="rgb")
+    tile, recipe, store = load_capture(tmp_path / "c")[0], load_recipe("default"), Store(tmp_path / "store")
+    first = lights(store, tile, recipe.light_model)
+    store.ensure(first)
+    second = plate(store, tile, recipe.detrend.images, first.ref)
+    store.ensure(second)
+    field = LightField(tile.lamps, positions=load_stand("vertical-dark").lamp_positions())
+    with darkroom(tile, tmp_path) as room:
+        flat = read_plate(store.path(second.ref))
+        result = level(room, field, flat, np.zeros(room.grid.shape, np.float32))
+    assert result.uncertainty is not None
+    assert abs(result.offset) < result.uncertainty < 1
+
+
 def test_gloss_is_not_taken_for_height(tmp_path):
     simulate(tmp_path / "c", load_stand("horizontal"), scene="painting", width=240, seed=4, varnish=True)
     tile, recipe, store = load_capture(tmp_path / "c")[0], load_recipe("default"), Store(tmp_path / "store")

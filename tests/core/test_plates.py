@@ -1,5 +1,7 @@
 """Plates: smooth, continued past the frame, and read along each lamp's ray."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,14 @@ from nlights_core.configurations import load_stand
 from nlights_core.errors import TileError
 from nlights_core.fields import LightField
 from nlights_core.frames import PixelGrid
-from nlights_core.plates import block_size, continued, read_plate, write_plate
+from nlights_core.plates import (
+    block_size,
+    continued,
+    natural_vignetting,
+    read_plate,
+    vignetting,
+    write_plate,
+)
 
 
 def horizontal() -> LightField:
@@ -71,6 +80,58 @@ def test_a_point_of_the_plane_is_its_own_foot():
         np.testing.assert_allclose(foot[i], points[:2], atol=1e-4)
 
 
+CAMERA = (0.0, 0.0, 1542.0)
+
+
+def photographed(lens: float, aim_deg: float = 0.0):
+    """Readings of lensed lamps, seen through a lens with so much vignetting, and their places."""
+    x, y = GRID.block_centres(5)
+    points = np.stack([*np.meshgrid(x, y), np.zeros((len(y), len(x)))])
+    lights = horizontal()
+    axes = lights.axes + np.radians(aim_deg) * np.random.default_rng(2).normal(size=(8, 3))
+    lights = replace(lights, axes=axes / np.linalg.norm(axes, axis=1, keepdims=True))
+    # Only where they are is told, not how they shine.
+    bare = LightField(lights.lamps, positions=lights.positions)
+    dimmed = np.exp(lens * natural_vignetting(CAMERA, points[0], points[1]))
+    return lights, bare, lights.vectors(points)[..., 2:] * dimmed[..., None], x, y
+
+
+def test_natural_vignetting_is_the_fourth_power_of_the_cosine():
+    angle = np.arctan(300 / 1542)
+    found = natural_vignetting((10.0, 0.0, 1542.0), np.array([190.0]), np.array([240.0]))
+    np.testing.assert_allclose(np.exp(found), np.cos(angle) ** 4, rtol=1e-12)
+
+
+@pytest.mark.parametrize("lens", [0.0, 0.5, 1.0, 2.0])
+@pytest.mark.parametrize("aim_deg", [0.0, 2.0])
+def test_vignetting_is_told_from_the_lamps_own_fall_off(lens, aim_deg):
+    _, bare, reading, x, y = photographed(lens, aim_deg)
+    reading[2, 10:20, 30:40] = np.nan
+    assert vignetting(reading, bare, x, y, CAMERA) == pytest.approx(lens, abs=0.05)
+
+
+def test_vignetting_of_a_single_lamp_or_of_lamps_that_disagree_is_hardly_believed():
+    _, bare, reading, x, y = photographed(1.0)
+    assert vignetting(reading[:1], bare.only(0), x, y, CAMERA) == 0.5
+    points = np.meshgrid(x, y)
+    for i, odd in enumerate([-9, 7, 5, -8, 9, -4, -6, 3]):
+        reading[i] *= np.exp(odd * natural_vignetting(CAMERA, *points))[..., None]
+    assert 0 < vignetting(reading, bare, x, y, CAMERA) < 1
+
+
+def test_the_lamps_light_is_read_at_its_foot_but_the_lens_at_the_pixel():
+    lights, bare, reading, x, y = photographed(1.0)
+    lens = vignetting(reading, bare, x, y, CAMERA)
+    plate = replace(continued(reading, x, y, 5 * GRID.pixel_size), camera=CAMERA, vignetting=lens)
+    pixels = GRID.points(0, GRID.rows)[:, 150:-150:50, 150:-150:50]
+    points = GRID.points(0, GRID.rows, np.full(GRID.shape, 8.0))[:, 150:-150:50, 150:-150:50]
+    feet = lights.plane_points(points)
+    for i, (foot_x, foot_y) in enumerate(feet):
+        light = lights.only(i).vectors(np.stack([foot_x, foot_y, 0 * foot_x]))[0, ..., 2]
+        truth = light * np.exp(natural_vignetting(CAMERA, pixels[0], pixels[1]))
+        np.testing.assert_allclose(plate.at(i, foot_x, foot_y, pixels[:2])[..., 0], truth, rtol=1e-3)
+
+
 def test_holes_are_bridged_and_a_plate_mostly_unknown_is_refused():
     x, y = GRID.block_centres(4)
     reading = np.ones((1, len(y), len(x), 1), np.float32)
@@ -82,12 +143,14 @@ def test_holes_are_bridged_and_a_plate_mostly_unknown_is_refused():
         continued(reading, x, y, 2.0)
 
 
-def test_a_plate_is_read_back_as_it_was_written(tmp_path):
-    _, plate = lensed_plate()
+@pytest.mark.parametrize("camera", [None, (0.5, -0.1, 1542.25)])
+def test_a_plate_is_read_back_as_it_was_written(tmp_path, camera):
+    plate = replace(lensed_plate()[1], camera=camera, vignetting=0.9)
     write_plate(tmp_path, plate)
     again = read_plate(tmp_path)
     np.testing.assert_array_equal(again.logarithm, plate.logarithm)
     assert (again.left, again.top, again.step) == (plate.left, plate.top, plate.step)
+    assert (again.camera, again.vignetting) == (plate.camera, plate.vignetting)
 
 
 def test_in_the_frame_only_is_shown_to_people():

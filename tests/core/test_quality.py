@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from nlights_core import export, map_statistics
+from nlights_core.figures import Number, figure_of
 from nlights_core.frames import PixelGrid
 from nlights_core.levelling import Level
 from nlights_core.map_statistics import best_plane, bias_angle, extremes, misclosure, unevenness
-from nlights_core.quality import Number, figure_of, measure, of_level
+from nlights_core.quality import measure, of_level
 
 GRID = PixelGrid(60, 80, 0.5)
 

@@ -15,8 +15,9 @@ from PIL import Image
 from nlights_core import chapters, pictures, plots
 from nlights_core.configurations import load_stand
 from nlights_core.fields import LightField
+from nlights_core.figures import Number, figure_of
 from nlights_core.frames import PixelGrid
-from nlights_core.quality import Number, figure_of, measure
+from nlights_core.quality import measure
 from nlights_core.report import write_report
 
 LAMPS = ("Relio_1", "Relio_2", "Relio_3")

@@ -1,0 +1,35 @@
+"""Refinement of a tile's lamps: samples of its photographs for the fit of strengths and ambient light."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from nlights_core import strengths
+from nlights_core.capture import Tile
+from nlights_core.development import bands, darkroom
+from nlights_core.fields import LightField
+from nlights_core.images import grey
+
+SAMPLES = 5000
+"""How many pixels the refinement of lamp strengths looks at."""
+
+
+def refined(tile: Tile, field: LightField, prior: float, scratch: Path) -> LightField:
+    """Fit strengths and ambient light to a sample of the photographs."""
+    with darkroom(tile, scratch) as room:
+        every = max(1, int(np.sqrt(room.grid.rows * room.grid.columns / (8 * SAMPLES))))
+        images, vectors = [], []
+        for start, stop in bands(room.grid, len(field.lamps) * 36):
+            raw = room.raw(start, stop, field)
+            usable = raw.inside & ~raw.saturated.any(axis=0)
+            rows, columns = np.nonzero(usable[::every, ::every])
+            points = room.grid.points(start, stop)
+            light = np.broadcast_to(field.vectors(points), (len(field.lamps), *usable.shape, 3))
+            images.append(grey(raw.images)[:, rows * every, columns * every])
+            vectors.append(light[:, rows * every, columns * every])
+        room.check()
+    samples, light = np.concatenate(images, axis=1), np.concatenate(vectors, axis=1)
+    chosen = np.random.default_rng(0).permutation(samples.shape[1])[:SAMPLES]
+    return strengths.refine(field, samples[:, chosen], light[:, chosen], prior)
