@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -351,3 +351,18 @@ def bands(grid: PixelGrid, bytes_per_pixel: int) -> Iterator[tuple[int, int]]:
     rows = max(1, min(grid.rows, BAND_BYTES // max(1, bytes_per_pixel * grid.columns)))
     for start in range(0, grid.rows, rows):
         yield start, min(start + rows, grid.rows)
+
+
+def block_means(room: Darkroom, field: LightField, block: int, progress: Callable[[float], None]) -> Array:
+    """Flats averaged over blocks, (L, h, w, C); NaN where a pixel of a block is saturated."""
+    rows, columns = room.grid.rows // block, room.grid.columns // block
+    out = np.empty((len(room.photographs), rows, columns, room.info.channels), np.float32)
+    for start, stop in bands(PixelGrid(rows, columns, 1.0), out[..., 0, 0, :].nbytes * block**2 * 3):
+        raw = room.raw(start * block, stop * block, field)
+        images = raw.images
+        images[raw.saturated] = np.nan
+        shape = (len(images), stop - start, block, columns, block, images.shape[-1])
+        out[:, start:stop] = images[:, :, : columns * block].reshape(shape).mean(axis=(2, 4))
+        progress(stop / rows)
+    room.check()
+    return out

@@ -40,6 +40,8 @@ class Number:
     missing : str
         What is to be said where there is no value: `NOT_MEASURED`, or `NOT_IN_RECIPE` where no step
         of the recipe could have given one.
+    warning : str
+        What is wrong with it and what to do, in a sentence; empty where nothing is.
     """
 
     group: str
@@ -48,6 +50,7 @@ class Number:
     unit: str
     meaning: str
     missing: str = NOT_MEASURED
+    warning: str = ""
 
 
 def figure_of(value: float | None, unit: str = "") -> str:

@@ -14,8 +14,10 @@ from nlights_core import __version__, export, meshes, quality
 from nlights_core.agreement import read_agreement
 from nlights_core.arrays import BandWriter, read_array
 from nlights_core.capture import Tile
+from nlights_core.emission import read_flat_check
 from nlights_core.errors import TileError
 from nlights_core.fields import LightField
+from nlights_core.figures import NOT_IN_RECIPE, NOT_MEASURED
 from nlights_core.frames import Array, PixelGrid
 from nlights_core.integrability import integrable_normals, integrable_uncertainty
 from nlights_core.levelling import read_level
@@ -249,6 +251,9 @@ def write_report(
         maps["normals"], grid, field, uncertainty, photographed=white is not None
     )
     numbers += quality.of_positions(wrong or None, uncertainty)
+    check = read_flat_check(made["plate"]) if "plate" in made else None
+    absent = NOT_MEASURED if white is not None else NOT_IN_RECIPE
+    numbers += quality.of_flat(check, tile.stand.name if tile.stand else None, absent)
     if height.stage == "level":
         numbers += quality.of_level(read_level(store.path(height)))
     numbers = quality.grouped(numbers)

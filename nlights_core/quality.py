@@ -21,6 +21,7 @@ from nlights_core.map_statistics import (
 
 if TYPE_CHECKING:
     from nlights_core.agreement import Agreement
+    from nlights_core.emission import FlatCheck
     from nlights_core.levelling import Level
     from nlights_core.position_uncertainty import PositionUncertainty
 
@@ -247,6 +248,10 @@ def measure(maps: Mapping[str, Array], grid: PixelGrid, lamps: Sequence[str] = (
     return [*_lights(maps), *_fit(maps, grid), *_surface(maps, grid), *_removed(maps, grid, lamps)]
 
 
+MOST_DRIFT = 2.0
+"""Percent by which lamps may have changed since the flats without a warning."""
+
+
 def grouped(numbers: Sequence[Number]) -> list[Number]:
     """The same numbers with those of a group together, groups in the order of their first."""
     groups = list(dict.fromkeys(number.group for number in numbers))
@@ -307,6 +312,48 @@ def of_positions(found: PositionUncertainty | None, uncertainty: float | None) -
     ]
 
 
+def of_flat(check: FlatCheck | None, stand: str | None, missing: str) -> list[Number]:
+    """What the photographs of the flat say of themselves and of the stand's file."""
+    warning = ""
+    if check is not None and not check.fits:
+        named = f", above all {', '.join(check.suspects)}" if check.suspects else ""
+        warning = (
+            f"The flats do not fit the stand '{stand}': its lamps seem to be some {check.likely_mm:.0f} mm "
+            f"off{named}. "
+            "See whether this is the stand that was used, and whether photographs of lamps were exchanged; "
+            "measure its points of interest again."
+        )
+
+    def number(name: str, value: float | None, unit: str, meaning: str, warning: str = "") -> Number:
+        return Number("Flat", name, value, unit, meaning, missing if check is None else NOT_MEASURED, warning)
+
+    return [
+        number(
+            "Plate fit, peak to valley",
+            check.peak_to_valley if check else None,
+            "µm",
+            "Height of the flat itself when it is measured like an artwork with computed instead of photographed "
+            "lamps: what stand file and lamps get wrong together. The artwork's height does not have this error.",
+        ),
+        number("Plate fit, rms", check.rms if check else None, "µm", "The same, typically."),
+        number(
+            "Flats against computed lamps, rms",
+            100 * check.residual if check else None,
+            "%",
+            "How far the flats are from ideal lamps at the stand's positions, through an ideal lens.",
+        ),
+        number(
+            "Doubt of the stand's file",
+            check.doubt if check else None,
+            "",
+            "Twice the logarithm of how much better the flats fit lamps elsewhere; above 9.5 it is not chance. "
+            f"The flats can tell a lamp's place to {check.resolution if check else 6:.0f} mm, so a small doubt "
+            "proves little.",
+            warning,
+        ),
+    ]
+
+
 def of_level(level: Level) -> list[Number]:
     """What the photographs say of the surface's level and of the lamps since the flats were taken."""
     found = level.uncertainty is not None
@@ -333,5 +380,8 @@ def of_level(level: Level) -> list[Number]:
             "%",
             "Strongest against weakest; it was corrected, and counts as 0 where the flats are no better "
             "known. Above 2 %, photograph the flats again.",
+            warning=f"The lamps have changed by {drift:.1f} % since the flats were taken: photograph the flats again."
+            if found and drift > MOST_DRIFT
+            else "",
         ),
     ]

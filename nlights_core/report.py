@@ -120,6 +120,7 @@ def write_report(
         facts=_facts(record, grid),
         chapters=chapters(views, record),
         groups=groups,
+        warnings=[number.warning for number in numbers if number.warning],
         lamps=_lamp_rows(record.get("lights") or {}),
         near=bool((record.get("lights") or {}).get("positions")),
         recipe=yaml.safe_dump(recipe, sort_keys=False, allow_unicode=True) if recipe else "",

@@ -25,10 +25,11 @@ from nlights_core.algorithms import (
 )
 from nlights_core.arrays import BandWriter, read_array, write_array
 from nlights_core.capture import Tile
-from nlights_core.development import Darkroom, bands, darkroom
+from nlights_core.development import bands, block_means, darkroom
+from nlights_core.emission import check_flat, write_flat_check
 from nlights_core.errors import TileError
 from nlights_core.fields import HeightMap, LightField, NormalField
-from nlights_core.frames import Array, PixelGrid
+from nlights_core.frames import Array
 from nlights_core.images import Photograph, reduced
 from nlights_core.levelling import Level, read_level, write_level
 from nlights_core.memory import require
@@ -152,11 +153,14 @@ def plate(store: Store, tile: Tile, detrend: ImageDetrend, lights: ArtefactRef) 
         flats = None
         if "flats" in detrend.needs:
             with store.scratch() as scratch, darkroom(tile, scratch, flats=True) as room:
-                flats = _block_means(room, field, block, progress)
+                flats = block_means(room, field, block, progress)
                 write_noise(folder, room.noise)
         shape = (len(field.lamps), len(y), len(x))
         reading = checked_plate(detrend, detrend.plate(flats, field, x, y), shape, info.channels)
         found = continued(reading, x, y, block * grid.pixel_size)
+        if flats is not None and tile.stand is not None and field.near:
+            check = check_flat(flats, tile.stand, field.lamps, x, y)
+            write_flat_check(folder, check)
         if flats is not None and grid.camera is not None and field.near:
             lens = vignetting(reading, field, x, y, grid.camera)
             found = replace(found, camera=grid.camera, vignetting=lens)
@@ -168,21 +172,6 @@ def plate(store: Store, tile: Tile, detrend: ImageDetrend, lights: ArtefactRef) 
 def _size(tile: Tile) -> list[int]:
     info = survey(tile)
     return [info.rows, info.columns]
-
-
-def _block_means(room: Darkroom, field: LightField, block: int, progress: Progress) -> Array:
-    """Flats averaged over blocks, (L, h, w, C); NaN where a pixel of a block is saturated."""
-    rows, columns = room.grid.rows // block, room.grid.columns // block
-    out = np.empty((len(room.photographs), rows, columns, room.info.channels), np.float32)
-    for start, stop in bands(PixelGrid(rows, columns, 1.0), out[..., 0, 0, :].nbytes * block**2 * 3):
-        raw = room.raw(start * block, stop * block, field)
-        images = raw.images
-        images[raw.saturated] = np.nan
-        shape = (len(images), stop - start, block, columns, block, images.shape[-1])
-        out[:, start:stop] = images[:, :, : columns * block].reshape(shape).mean(axis=(2, 4))
-        progress(stop / rows)
-    room.check()
-    return out
 
 
 def bias(

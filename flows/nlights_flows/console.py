@@ -96,9 +96,19 @@ def show_outcomes(outcomes: Sequence[Outcome]) -> None:
         else:
             said = "unchanged" if outcome.state == "unchanged" else f"done in {outcome.seconds:.1f} s"
             print(f"{name}: {said}: {outcome.folder}/report.html")
+            for warning in warnings_of(outcome):
+                complain(f"{name}: warning: {warning}")
     failed = sum(outcome.state == "failed" for outcome in outcomes)
     if failed:
         complain(f"{len(outcomes) - failed} of {len(outcomes)} tiles done, {failed} failed")
+
+
+def warnings_of(outcome: Outcome) -> list[str]:
+    """What the quality numbers of a tile warn of, as sentences."""
+    path = outcome.folder / "quality.json" if outcome.folder else None
+    if path is None or not path.is_file():
+        return []
+    return [row["warning"] for row in json.loads(path.read_text(encoding="utf-8")) if row.get("warning")]
 
 
 def show_plan(tile: Tile, plan: Sequence[Step]) -> None:

@@ -90,7 +90,8 @@ class InverseSquare(ImageDetrend):
     """The plate computed from the lamps' positions: inverse square law and cosine.
 
     For captures without a flat reference.  The emission of the lamps is part of it where the
-    light model states it; their power is 1 unless refined.
+    light model states it; their power is 1 unless it was calibrated on the artwork (see
+    `nlights_core.emission_on_artwork`).
     """
 
     name: ClassVar[str] = "inverse-square"
