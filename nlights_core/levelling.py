@@ -142,19 +142,41 @@ def level(room: Darkroom, lights: LightField, plate: Plate, height: Array) -> Le
         logarithms = np.clip(logarithms + change[1:], -0.2, 0.2)
         if abs(change[0]) < CLOSE and np.max(np.abs(change[1:])) < SETTLED:
             break
-    uncertainty = float(np.sqrt(np.linalg.inv(information)[0, 0]))
-    return Level(offset, uncertainty, np.exp(_significant(logarithms)))
+    covariance = np.linalg.inv(information)
+    drifts = _significant(logarithms, covariance[1:, 1:])
+    return Level(offset, float(np.sqrt(covariance[0, 0])), np.exp(drifts))
 
 
-def _significant(logarithms: Array) -> Array:
-    """Shrink drifts towards none as far as the plate's own errors could have made them.
+def _significant(logarithms: Array, covariance: Array) -> Array:
+    """Shrink drifts towards none as far as what is not drift could have made them.
 
-    The James-Stein rule: a factor ``1 - STEADY^2 / mean square``, never below 0.  Lamps that
-    have hardly drifted are left alone, since correcting what is not there would bend the height.
+    Two patterns of drift look like a tilt of the whole artwork, so that little but the prior holds
+    them, and lamps at wrong positions are mistaken for them.  Lamps drift independently: how much
+    they do shows in the other patterns, and these two are believed in that proportion.  Lamps
+    that have hardly drifted are left alone: correcting what is not there would bend the height.
+
+    Parameters
+    ----------
+    logarithms : (L,) array
+        Of the lamps' strengths, as fitted.
+    covariance : (L, L) array
+        Of them.
+
+    Returns
+    -------
+    (L,) array
+        Of mean 0: in every direction k of the covariance the fitted value times
+        ``d^2 / (d^2 + s_k^2 + STEADY^2)``, with the drift's variance d^2 as the well-determined
+        directions show it (empirical Bayes).
     """
-    centred = logarithms - logarithms.mean()
-    square = float(np.mean(centred**2))
-    return np.asarray(centred * max(0.0, 1 - STEADY**2 / square) if square > 0 else centred)
+    count = len(logarithms)
+    centre = np.eye(count) - 1 / count
+    variances, directions = np.linalg.eigh(centre @ covariance @ centre)
+    # The first is the strength of all lamps together, which the centring has taken out.
+    variances, found = variances[1:], (directions.T @ centre @ logarithms)[1:]
+    known = variances <= 9 * variances[0]
+    drift = max(0.0, float(np.mean(found[known] ** 2)) - STEADY**2)
+    return np.asarray(directions[:, 1:] @ (found * drift / (drift + variances + STEADY**2)))
 
 
 def _sample_rows(room: Darkroom) -> list[tuple[int, int]]:

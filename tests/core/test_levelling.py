@@ -61,11 +61,13 @@ def test_lamps_that_drifted_since_the_flats_are_found_and_not_taken_for_height(s
     np.testing.assert_allclose(ratio / ratio.mean(), 1, atol=3e-3)
 
 
-def test_lamps_five_millimetres_off_hardly_move_the_level(scene, tmp_path):
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_lamps_five_millimetres_off_hardly_move_the_level_and_are_not_taken_for_drift(scene, tmp_path, seed):
     _, field, _, truth = scene
-    moved = field.positions + np.random.default_rng(1).normal(0, 5, (8, 3))
+    moved = field.positions + np.random.default_rng(seed).normal(0, 5, (8, 3))
     result = found(scene, LightField(field.lamps, positions=moved), truth, tmp_path)
     assert result.offset == pytest.approx(0, abs=0.3)
+    np.testing.assert_allclose(result.strengths, 1, atol=1e-3)
 
 
 def test_noise_is_not_taken_for_height(tmp_path):
