@@ -14,12 +14,12 @@ from typing import Literal
 import numpy as np
 import scipy.fft
 
-from nlights_core.frames import Array, PixelGrid
+from nlights_core.frames import Array
 
 Stencil = Literal["6-point", "trapezoid"]
 """How the step between two pixels follows from the gradients at the pixels around it."""
 
-BAND = 256
+BAND = 64
 """Lines that are worked on at once, so that temporary arrays stay small."""
 
 # Each formula: how many pixels it reaches before the step, and the weights of its pixels.
@@ -128,21 +128,34 @@ def height_steps(gradient: Array, stencil: Stencil) -> Array:
     >>> height_steps(np.array([[0.0, 2.0, 4.0]]), "trapezoid")
     array([[1., 3.]])
     """
-    pixels = gradient.shape[1]
-    steps = np.full_like(gradient[:, 1:], np.nan)
-    (before, weights), *fallbacks = _FORMULAS[stencil]
-    fitting = pixels - len(weights) + 1
-    if fitting > 0:
-        terms = (float(w) * gradient[:, k : k + fitting] for k, w in enumerate(weights))
-        steps[:, before : before + fitting] = sum(terms)
-    for before, weights in fallbacks:
-        wanted = np.flatnonzero(np.isnan(steps).any(axis=0))
-        first = wanted - before
-        inside = (first >= 0) & (first + len(weights) <= pixels)
-        wanted, first = wanted[inside], first[inside]
-        value = sum(float(w) * gradient[:, first + k] for k, w in enumerate(weights))
-        steps[:, wanted] = np.where(np.isnan(steps[:, wanted]), value, steps[:, wanted])
-    return steps
+    return _by_formulas(gradient, _FORMULAS[stencil])
+
+
+def certain_steps(gradient: Array, variance: Array, stencil: Stencil) -> tuple[Array, Array]:
+    """Steps as `height_steps` takes them, but away from pixels that are far less certain.
+
+    Parameters
+    ----------
+    gradient : (n, N) float array
+        Derivative along each of n lines of N pixels; NaN where not known.
+    variance : (n, N) float array
+        Variance of each pixel, in any unit.
+    stencil : {"6-point", "trapezoid"}
+        Where it would make the variance of a step more than twice the trapezoid's, the step is the
+        trapezoid's: an outer pixel that steep brings more error than its curvature removes.
+
+    Returns
+    -------
+    step, variance : (n, N - 1) float arrays
+        The variance that the formula passes on; both NaN where either end is not known.
+    """
+    steps, passed_on = height_steps(gradient, "trapezoid"), _passed_on(variance, "trapezoid")
+    if stencil != "trapezoid":
+        wider = _passed_on(variance, stencil)
+        better = wider <= 2 * passed_on
+        steps = np.where(better, height_steps(gradient, stencil), steps)
+        passed_on = np.where(better, wider, passed_on)
+    return steps, passed_on
 
 
 def add_divergence(source: Array, gradient: Array, stencil: Stencil, mean: float) -> None:
@@ -192,67 +205,6 @@ def solve_poisson(source: Array) -> Array:
         spectrum[lines] /= _away_from_zero(-(down[lines, None] + across))
     spectrum[0, 0] = 0
     height: Array = scipy.fft.idctn(spectrum, type=2, workers=-1, overwrite_x=True)
-    return height
-
-
-def perspective_gradient(per_column: Array, per_row: Array, grid: PixelGrid) -> tuple[Array, Array]:
-    """Gradients of a surface seen by a pinhole, made integrable on the photograph's grid.
-
-    A point of the surface lies at ``C + t (P0 - C)`` on the ray from the camera C through the
-    pixel's point P0 of the plane.  Not z but log t has a gradient that the normal alone decides;
-    what is returned are the steps of ``-C_z log t``, a length that is z to first order.
-
-    Parameters
-    ----------
-    per_column, per_row : (H, W) float arrays
-        Slopes dz/dx and -dz/dy times the pixel size, as `NormalField.gradient` gives them.
-    grid : PixelGrid
-        Whose camera is a pinhole.
-
-    Returns
-    -------
-    per_column, per_row : (H, W) float arrays
-        Steps of ``-C_z log t``; NaN where not known and where the surface turns away from the
-        ray so far that its slope would be magnified more than tenfold.
-
-    References
-    ----------
-    J.-D. Durou, F. Courteille, "Integration of a normal field without boundary condition", in:
-    Photometric Analysis for Computer Vision, ICCV workshop (2007).
-    """
-    camera = _camera(grid)
-    x, y = grid.x() - camera[0], grid.y() - camera[1]
-    scale = 1 / (grid.pixel_size * camera[2])
-    across, down = np.empty_like(per_column), np.empty_like(per_row)
-    for lines in bands(grid.rows):
-        facing = 1 + (per_column[lines] * x - per_row[lines] * y[lines, None]) * scale
-        facing[facing < 0.1] = np.nan
-        across[lines] = per_column[lines] / facing
-        down[lines] = per_row[lines] / facing
-    return across, down
-
-
-def perspective_height(scaled_log: Array, camera_height: float) -> Array:
-    """z from the integral of `perspective_gradient`, ``-C_z log t``.
-
-    The constant that the integral leaves free is a factor of t, not a shift of z: it is chosen
-    so that z has mean 0, on each island of known pixels by itself.
-
-    Parameters
-    ----------
-    scaled_log : (H, W) float array
-        ``-C_z log t`` up to a constant, in the camera's unit; NaN where not known.
-    camera_height : float
-        C_z: distance of the camera from the plane.
-
-    Returns
-    -------
-    (H, W) float array
-        ``z = C_z (1 - t)`` of the point that each pixel sees.
-    """
-    nearness = -np.expm1(scaled_log / -camera_height)
-    mean = mean_per_island(nearness)
-    height: Array = camera_height * (nearness - mean) / (1 - mean)
     return height
 
 
@@ -307,6 +259,30 @@ def bands(rows: int) -> Iterator[slice]:
         yield slice(start, min(start + BAND, rows))
 
 
+def _by_formulas(gradient: Array, formulas: tuple[tuple[int, Array], ...]) -> Array:
+    """Steps by the first formula whose pixels are all known."""
+    pixels = gradient.shape[1]
+    steps = np.full_like(gradient[:, 1:], np.nan)
+    (before, weights), *fallbacks = formulas
+    fitting = pixels - len(weights) + 1
+    if fitting > 0:
+        terms = (float(w) * gradient[:, k : k + fitting] for k, w in enumerate(weights))
+        steps[:, before : before + fitting] = sum(terms)
+    for before, weights in fallbacks:
+        wanted = np.flatnonzero(np.isnan(steps).any(axis=0))
+        first = wanted - before
+        inside = (first >= 0) & (first + len(weights) <= pixels)
+        wanted, first = wanted[inside], first[inside]
+        value = sum(float(w) * gradient[:, first + k] for k, w in enumerate(weights))
+        steps[:, wanted] = np.where(np.isnan(steps[:, wanted]), value, steps[:, wanted])
+    return steps
+
+
+def _passed_on(variance: Array, stencil: Stencil) -> Array:
+    """Variance of the steps whose pixels err independently of each other."""
+    return _by_formulas(variance, tuple((before, weights**2) for before, weights in _FORMULAS[stencil]))
+
+
 def _periodic_surface(per_column: Array, per_row: Array) -> Array:
     rows, columns = per_column.shape
     across = 2 * np.pi * np.arange(columns // 2 + 1) / columns
@@ -354,9 +330,3 @@ def _sine_and_cosine(gradient: Array, sine: int) -> Array:
 def _away_from_zero(eigenvalues: Array) -> Array:
     """Zeros replaced by 1: their waves have no slope, so that their numerator is zero too."""
     return np.where(eigenvalues == 0, 1.0, eigenvalues)
-
-
-def _camera(grid: PixelGrid) -> tuple[float, float, float]:
-    if grid.camera is None:
-        raise ValueError("a perspective integration needs a grid that has a camera")
-    return grid.camera

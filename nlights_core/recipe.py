@@ -46,7 +46,7 @@ class Recipe(Record):
         ge=1,
         le=5,
         description="how often normals and height are computed; from the second on, near lights see "
-        "the height of the pass before",
+        "the height of the pass before; all but the last are made on reduced photographs",
     )
 
     integrable: bool = Field(

@@ -78,14 +78,14 @@ def solve(
         "saturated": (shape, np.uint8),
         "shadow": (shape, np.uint8),
     }
-    meter = AgreementMeter(room.grid, partial(_solved, solver))
+    meter = AgreementMeter(room.grid, partial(solved, solver))
     with ExitStack() as stack:
         out = {
             name: stack.enter_context(BandWriter(folder / f"{name}.npy", *kind))
             for name, kind in files.items()
         }
         for band in room.bands(lights, plate, height):
-            found = _solved(solver, band)
+            found = solved(solver, band)
             normals = found.normals
             if bias is not None:
                 normals = normals - bias[band.start : band.stop]
@@ -105,7 +105,7 @@ def solve(
     write_array(folder / "frames.npy", room.views())
 
 
-def _solved(solver: NormalSolver, band: Band) -> Solution:
+def solved(solver: NormalSolver, band: Band) -> Solution:
     """Solve a band; where there is ambient light, subtract its share and solve again."""
     images = band.grey
     found = checked_solution(solver, solver.solve(images, band.lights, band.weights), images.shape)

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from nlights_core import levelling, products, solving
+from nlights_core import levelling, solving
 from nlights_core.algorithms import (
     HeightDetrend,
     ImageDetrend,
@@ -34,11 +34,29 @@ from nlights_core.images import Photograph, reduced
 from nlights_core.levelling import Level, read_level, write_level
 from nlights_core.memory import require
 from nlights_core.noise import read_noise, write_noise
+from nlights_core.overview import overview as find_overview
+from nlights_core.overview import reduced_room, write_enlarged
 from nlights_core.plates import block_size, continued, read_plate, vignetting, write_plate
+from nlights_core.product_stages import maps, mesh, report
 from nlights_core.refinement import refined
 from nlights_core.store import ArtefactRef, Progress, Store, Work, describe
 from nlights_core.surveys import grid_of, survey
 from nlights_core.verification import checked_array, checked_height, checked_plate
+
+__all__ = [
+    "bias",
+    "height",
+    "level",
+    "lights",
+    "maps",
+    "mesh",
+    "normals",
+    "overview",
+    "plate",
+    "read_lights",
+    "report",
+    "trend",
+]
 
 FLATS = "_flats"
 """Where artefacts go that belong to a flat set, not to a tile; no tile can have this name."""
@@ -200,6 +218,49 @@ def bias(
     return Work(ref, record, make)
 
 
+def overview(
+    store: Store,
+    tile: Tile,
+    solver: NormalSolver,
+    integrator: Integrator,
+    lights: ArtefactRef,
+    plate: ArtefactRef | None,
+    bias: ArtefactRef | None,
+    detrend: HeightDetrend | None,
+    passes: int,
+) -> Work:
+    """Height for near light, from reduced photographs: ``height.npy`` and ``level.json``.
+
+    See `nlights_core.overview`.
+    """
+    facts = _photographed(store, tile, "frames") | {"passes": passes}
+    for name, algorithm in (("integrator", integrator), ("detrend", detrend)):
+        described = describe("height", tile.artwork, tile.name, algorithm=algorithm)[1] if algorithm else {}
+        facts[name] = described.get("algorithm")
+    inputs = {"lights": lights, "plate": plate, "bias": bias}
+    ref, record = describe("overview", tile.artwork, tile.name, algorithm=solver, inputs=inputs, facts=facts)
+
+    def make(folder: Path, progress: Progress) -> None:
+        field, flat = read_lights(store, lights), read_plate(store.path(plate)) if plate else None
+        with store.scratch() as scratch, darkroom(tile, scratch) as room:
+            noise = read_noise(store.path(plate)) if plate else None
+            room.noise = noise or room.noise
+            small, factor = reduced_room(room, lambda share: progress(0.7 * share))
+            grid = room.grid
+        removed = read_array(store.path(bias) / "bias.npy") if bias else None
+        if removed is not None:
+            removed = removed[factor // 2 :: factor, factor // 2 :: factor]
+            removed = removed[: small.grid.rows, : small.grid.columns]
+        levels = noise is not None and field.near and grid.unit == "mm"
+        height, level = find_overview(
+            small, field, flat, removed, solver, integrator, detrend, passes, levels
+        )
+        write_level(folder, level)
+        write_enlarged(folder / "height.npy", height, factor, grid.shape)
+
+    return Work(ref, record, make)
+
+
 def normals(
     store: Store,
     tile: Tile,
@@ -209,7 +270,10 @@ def normals(
     bias: ArtefactRef | None = None,
     height: ArtefactRef | None = None,
 ) -> Work:
-    """Normals and what is solved with them; the files are listed in `nlights_core.solving`."""
+    """Normals and what is solved with them; the files are listed in `nlights_core.solving`.
+
+    ``height`` is the `overview`, where there is one.
+    """
     facts = _photographed(store, tile, "frames")
     inputs = {"lights": lights, "plate": plate, "bias": bias, "height": height}
     ref, record = describe("normals", tile.artwork, tile.name, algorithm=solver, inputs=inputs, facts=facts)
@@ -217,7 +281,7 @@ def normals(
     def make(folder: Path, progress: Progress) -> None:
         field, flat = read_lights(store, lights), read_plate(store.path(plate)) if plate else None
         before = read_array(store.path(height) / "height.npy") if height else None
-        if height and height.stage == "level":
+        if height:
             field = field.stronger(read_level(store.path(height)).strengths)
         removed = read_array(store.path(bias) / "bias.npy") if bias else None
         with store.scratch() as scratch, darkroom(tile, scratch) as room:
@@ -287,93 +351,6 @@ def level(store: Store, tile: Tile, lights: ArtefactRef, plate: ArtefactRef, hei
         with BandWriter(folder / "height.npy", before.shape) as file:
             for start, stop in bands(grid, 12):
                 file.write(before[start:stop] + np.float32(found.offset))
-
-    return Work(ref, record, make)
-
-
-def maps(
-    store: Store,
-    tile: Tile,
-    normals: ArtefactRef,
-    height: ArtefactRef,
-    white: ArtefactRef | None,
-    trend: ArtefactRef | None,
-    integrated: ArtefactRef | None = None,
-    perspective: bool = False,
-) -> Work:
-    """Products that are images: normals, albedo, reflection, height, confidence, trend.
-
-    ``white`` is the photographed plate, which makes the albedo absolute, where there is one.
-    ``integrated`` is the height of these normals before anything was done to it, where they shall
-    be made integrable with it, and ``perspective`` says whether its integrator followed the rays
-    of the camera.
-    """
-    inputs = {"normals": normals, "height": height, "trend": trend, "integrated": integrated}
-    facts = {"white_reflectance": tile.white_reflectance if white else None, "perspective": perspective}
-    ref, record = describe("maps", tile.artwork, tile.name, inputs=inputs, facts=facts)
-
-    def make(folder: Path, progress: Progress) -> None:
-        info = survey(tile)
-        products.write_maps(
-            folder,
-            products.open_maps(store, normals, height, trend),
-            grid_of(tile, info),
-            white=tile.white_reflectance if white else None,
-            icc=info.icc,
-            progress=progress,
-            integrated=read_array(store.path(integrated) / "height.npy") if integrated else None,
-            perspective=perspective,
-        )
-
-    return Work(ref, record, make)
-
-
-def mesh(store: Store, tile: Tile, maps: ArtefactRef, height: ArtefactRef) -> Work:
-    """Products that are meshes: a vertex per pixel, and a decimated one."""
-    ref, record = describe("mesh", tile.artwork, tile.name, inputs={"maps": maps, "height": height})
-
-    def make(folder: Path, progress: Progress) -> None:
-        grid = grid_of(tile, survey(tile))
-        surface = read_array(store.path(height) / "height.npy")
-        products.write_meshes(folder, surface, store.path(maps), grid, progress)
-
-    return Work(ref, record, make)
-
-
-def report(
-    store: Store,
-    tile: Tile,
-    recipe: dict[str, Any],
-    lights: ArtefactRef,
-    plate: ArtefactRef | None,
-    bias: ArtefactRef | None,
-    normals: ArtefactRef,
-    height: ArtefactRef,
-    trend: ArtefactRef | None,
-    maps: ArtefactRef,
-    mesh: ArtefactRef,
-) -> Work:
-    """Products for people: ``report.html``, ``quality.json``, ``provenance.json``."""
-    inputs = {
-        "lights": lights,
-        "plate": plate,
-        "bias": bias,
-        "normals": normals,
-        "height": height,
-        "trend": trend,
-        "maps": maps,
-        "mesh": mesh,
-    }
-    facts = {
-        "recipe": recipe,
-        "title": tile.title,
-        "origin_mm": tile.origin_mm,
-        "stand": tile.stand.model_dump(mode="json") if tile.stand else None,
-    }
-    ref, record = describe("report", tile.artwork, tile.name, inputs=inputs, facts=facts)
-
-    def make(folder: Path, progress: Progress) -> None:
-        products.write_report(folder, store, tile, record, inputs, grid_of(tile, survey(tile)))
 
     return Work(ref, record, make)
 

@@ -38,13 +38,17 @@ def digitise_tile(tile: Tile, recipe: Recipe, call: Call) -> dict[str, ArtefactR
     )
 
     height = trend = None
-    for _ in range(recipe.passes):
-        normals = call(stages.normals, tile, recipe.normals, lights, plate, bias, height)
-        height = integrated = call(stages.height, tile, recipe.integrator, normals)
-        if detrend.height:
-            height = trend = call(stages.trend, tile, detrend.height, height)
-        if _levels(recipe):
-            height = call(stages.level, tile, lights, plate, height)
+    if recipe.passes > 1:
+        algorithms = (recipe.normals, recipe.integrator)
+        height = call(
+            stages.overview, tile, *algorithms, lights, plate, bias, detrend.height, recipe.passes - 1
+        )
+    normals = call(stages.normals, tile, recipe.normals, lights, plate, bias, height)
+    height = integrated = call(stages.height, tile, recipe.integrator, normals)
+    if detrend.height:
+        height = trend = call(stages.trend, tile, detrend.height, height)
+    if _levels(recipe):
+        height = call(stages.level, tile, lights, plate, height)
 
     # Only a photographed plate knows what white is.
     white = plate if detrend.images and "flats" in detrend.images.needs else None
@@ -64,8 +68,8 @@ def recipe_record(recipe: Recipe) -> dict[str, Any]:
 def steps(recipe: Recipe) -> int:
     """How many stages the chain calls for a tile, for a progress bar."""
     detrend = recipe.detrend
-    once = 4 + sum(part is not None for part in (detrend.images, detrend.normals))
-    return once + recipe.passes * (2 + (detrend.height is not None) + _levels(recipe))
+    optional = (detrend.images, detrend.normals, detrend.height)
+    return 6 + sum(part is not None for part in optional) + (recipe.passes > 1) + _levels(recipe)
 
 
 def _levels(recipe: Recipe) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import ClassVar
 
@@ -11,42 +12,46 @@ from pydantic import Field
 
 from nlights_core.algorithms import Integrator
 from nlights_core.fields import HeightMap, NormalField
-from nlights_core.frames import Array
+from nlights_core.frames import Array, PixelGrid
 from nlights_core.integration import (
     Stencil,
     frankot_chellappa,
     mean_per_island,
-    perspective_gradient,
-    perspective_height,
     simchony,
 )
-from nlights_core.masked_integration import masked_least_squares
+from nlights_core.masked_integration import (
+    evenly_certain,
+    masked_least_squares,
+    relative_uncertainty,
+    weighted_least_squares,
+)
+from nlights_core.sight_lines import facing_rays, perspective_height, seen_gradient
+
+FLATTENED_DEG = 70.0
+"""Slopes that all count the same are limited to this angle: a single one could bend the whole."""
+
+STEEPEST_DEG = 89.5
+"""Slopes that count by their certainty are limited to this angle to the viewing ray."""
 
 
 class SlopeIntegrator(Integrator):
-    """What both integrators share: whose rays are followed, and how steep a slope is believed."""
+    """What both integrators share: whose rays are followed."""
 
-    bytes_per_pixel: ClassVar[int] = 72
+    bytes_per_pixel: ClassVar[int] = 136
 
     perspective: bool = Field(
         default=True,
         description="follow the rays of the measured camera; without one, and when false, the "
         "camera is orthographic",
     )
-    steepest_deg: float = Field(
-        default=70.0,
-        gt=0,
-        lt=90,
-        description="slopes are limited to this angle, degrees: near the horizon a normal says little "
-        "about the slope",
-    )
 
 
 class FrankotChellappa(SlopeIntegrator):
     """The surface whose Fourier series has the closest slopes.
 
-    Its waves reach over the whole rectangle and know no mask: a field with unknown pixels is
-    integrated as `Simchony` would, with six-point steps, whatever ``periodic`` says.
+    Its waves reach over the whole rectangle and know neither masks nor weights: a field with
+    unknown pixels is integrated as `Simchony` would without weights, with six-point steps,
+    whatever ``periodic`` says.
     """
 
     name: ClassVar[str] = "frankot-chellappa"
@@ -59,7 +64,11 @@ class FrankotChellappa(SlopeIntegrator):
 
     def integrate(self, normals: NormalField) -> HeightMap:
         """Integrate a whole field; see `nlights_core.integration.frankot_chellappa`."""
-        return _integrate(self, normals, partial(frankot_chellappa, periodic=self.periodic), "6-point")
+        grid = _seen(normals.grid, self.perspective)
+        facing = facing_rays(normals.normals, grid)
+        solve = partial(frankot_chellappa, periodic=self.periodic)
+        scaled_log = _alike(normals.normals, facing, grid, solve, "6-point")
+        return _height_map(scaled_log, grid, normals.grid)
 
 
 class Simchony(SlopeIntegrator):
@@ -72,27 +81,51 @@ class Simchony(SlopeIntegrator):
         description="how a step between two pixels follows from the slopes around it: from six "
         "pixels, or as the mean of two ('trapezoid', the paper's)",
     )
+    weights: bool = Field(
+        default=True,
+        description="let steep and uncertain normals count less, where there are such; when false "
+        "all count the same, and slopes are limited to 70 degrees",
+    )
 
     def integrate(self, normals: NormalField) -> HeightMap:
-        """Integrate a whole field; see `nlights_core.integration.simchony`."""
-        return _integrate(self, normals, partial(simchony, stencil=self.stencil), self.stencil)
+        """Integrate a whole field; see `nlights_core.integration.simchony`.
+
+        Where the slopes differ in certainty, `nlights_core.masked_integration.weighted_least_squares`.
+        """
+        grid = _seen(normals.grid, self.perspective)
+        facing = facing_rays(normals.normals, grid)
+        uncertainty = None
+        if self.weights and normals.confidence is not None:
+            uncertainty = relative_uncertainty(normals.confidence, np.isfinite(facing))
+        if not self.weights or evenly_certain(facing, uncertainty):
+            solve = partial(simchony, stencil=self.stencil)
+            scaled_log = _alike(normals.normals, facing, grid, solve, self.stencil)
+        else:
+            gradient = seen_gradient(normals.normals, facing, grid, STEEPEST_DEG)
+            scaled_log = weighted_least_squares(*gradient, facing, uncertainty, grid, stencil=self.stencil)
+        return _height_map(scaled_log, grid, normals.grid)
 
 
-def _integrate(
-    options: SlopeIntegrator, normals: NormalField, solve: Callable[[Array, Array], Array], stencil: Stencil
-) -> HeightMap:
-    """Height by ``solve`` where all is known, by masked least squares where not."""
-    grid = normals.grid
-    camera = grid.camera if options.perspective else None
-    per_column, per_row = normals.gradient(options.steepest_deg)
-    if camera is not None:
-        per_column, per_row = perspective_gradient(per_column, per_row, grid)
-    if np.isfinite(per_column).all() and np.isfinite(per_row).all():
-        height = solve(per_column, per_row)
-    else:
-        height = masked_least_squares(per_column, per_row, stencil=stencil)
-    del per_column, per_row
-    if camera is not None:
-        height = perspective_height(height, camera[2])
+def _seen(grid: PixelGrid, perspective: bool) -> PixelGrid:
+    return grid if perspective else replace(grid, camera=None)
+
+
+def _alike(
+    normals: Array,
+    facing: Array,
+    grid: PixelGrid,
+    solve: Callable[[Array, Array], Array],
+    stencil: Stencil,
+) -> Array:
+    """Integral of slopes that count the same: by ``solve`` where all are known, else with a mask."""
+    per_column, per_row = seen_gradient(normals, facing, grid, FLATTENED_DEG)
+    if np.isfinite(facing).all():
+        return solve(per_column, per_row)
+    return masked_least_squares(per_column, per_row, stencil=stencil)
+
+
+def _height_map(scaled_log: Array, seen: PixelGrid, grid: PixelGrid) -> HeightMap:
+    """z of mean 0 on every island, out of the integral along the rays of ``seen``."""
+    height = scaled_log if seen.camera is None else perspective_height(scaled_log, seen.camera[2])
     height -= mean_per_island(height)
     return HeightMap(height.astype(np.float32, copy=False), grid)

@@ -8,7 +8,8 @@ import pytest
 from nlights_core.fields import NormalField
 from nlights_core.frames import PixelGrid
 from nlights_core.integrability import AROUND, OWN, integrable_normals, integrable_uncertainty
-from nlights_core.integration import perspective_gradient, perspective_height, simchony
+from nlights_core.integration import simchony
+from nlights_core.sight_lines import facing_rays, perspective_height, seen_gradient
 from nlights_core.testing.evaluation import angles_between
 from nlights_core.testing.surfaces import bow, normal_field, plane, wave
 
@@ -25,10 +26,8 @@ def turned(normals: np.ndarray, degrees: float, seed: int = 0) -> np.ndarray:
 
 
 def integrated(normals: np.ndarray, grid: PixelGrid) -> np.ndarray:
-    across, down = NormalField(normals, grid).gradient()
-    if grid.camera is None:
-        return simchony(across, down)
-    return perspective_height(simchony(*perspective_gradient(across, down, grid)), grid.camera[2])
+    slopes = seen_gradient(normals, facing_rays(normals, grid), grid, 70.0)
+    return simchony(*slopes) if grid.camera is None else perspective_height(simchony(*slopes), grid.camera[2])
 
 
 def corrected(normals: np.ndarray, grid: PixelGrid, start: int = 0, stop: int | None = None) -> np.ndarray:

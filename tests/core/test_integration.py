@@ -10,11 +10,16 @@ from nlights_core.integration import (
     frankot_chellappa,
     height_steps,
     mean_per_island,
-    perspective_gradient,
-    perspective_height,
     simchony,
 )
-from nlights_core.masked_integration import masked_least_squares
+from nlights_core.masked_integration import (
+    evenly_certain,
+    masked_least_squares,
+    relative_uncertainty,
+    weighted_least_squares,
+)
+from nlights_core.multigrid import Multigrid, weighted_laplacian
+from nlights_core.sight_lines import facing_rays, perspective_height, seen_gradient
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data"
 VASE = DATA / "integration" / "vase.mat"
@@ -294,36 +299,179 @@ def test_of_nothing_known_nothing_is_made():
 
 
 def sphere_seen_from(grid, radius, top):
-    """t along each pixel's ray to a sphere whose highest point is (0, 0, top), and its slopes."""
+    """t along each pixel's ray to a sphere whose highest point is (0, 0, top), and its normals."""
     camera = np.array(grid.camera)
     rays = np.stack(np.broadcast_arrays(grid.x(), grid.y()[:, None], 0.0), axis=-1) - camera
     to_camera = camera - [0, 0, top - radius]
     a, b = (rays**2).sum(-1), rays @ to_camera
     t = (-b - np.sqrt(b**2 - a * ((to_camera**2).sum() - radius**2))) / a
-    normal = (to_camera + t[..., None] * rays) / radius
-    step = grid.pixel_size / normal[..., 2]
-    return t, -normal[..., 0] * step, normal[..., 1] * step
+    return t, (to_camera + t[..., None] * rays) / radius
 
 
 @pytest.mark.parametrize("camera", [(0.0, 0.0, 1500.0), (40.0, -25.0, 900.0)])
 def test_a_sphere_seen_by_a_pinhole_is_recovered(camera):
     grid = PixelGrid(150, 200, 2.5, camera)
-    t, p, q = sphere_seen_from(grid, 1500.0, 4.0)
+    t, normals = sphere_seen_from(grid, 1500.0, 4.0)
     z = camera[2] * (1 - t / t.mean())
-    found = perspective_height(simchony(*perspective_gradient(p, q, grid)), camera[2])
+    gradient = seen_gradient(normals, facing_rays(normals, grid), grid, 89.0)
+    found = perspective_height(simchony(*gradient), camera[2])
     assert np.abs(found - z).max() < 1e-8 * np.ptp(z)
-    assert unlike(simchony(p, q), z) > 1e-3
+    parallel = seen_gradient(normals, normals[..., 2], PixelGrid(150, 200, 2.5), 89.0)
+    assert unlike(simchony(*parallel), z) > 1e-3
 
 
-def test_a_surface_that_turns_away_from_the_ray_is_unknown():
+def test_what_is_seen_decides_what_is_known_not_the_horizon():
     grid = PixelGrid(1, 3, 100.0, (0.0, 0.0, 100.0))
-    towards, _ = perspective_gradient(np.array([[-250.0, -250.0, -250.0]]), np.zeros((1, 3)), grid)
-    assert np.isnan(towards).tolist() == [[False, False, True]]
+    angles = np.radians([-60.0, 95.0, -95.0])
+    normals = np.stack([np.sin(angles), np.zeros(3), np.cos(angles)], axis=-1)[None]
+    facing = facing_rays(normals, grid)
+    # The rays lean by -45, 0 and 45 degrees; the last normal is below the horizon and yet seen.
+    assert np.isnan(facing).tolist() == [[True, True, False]]
+    assert facing[0, 2] == pytest.approx(np.sqrt(2) * np.cos(np.radians(50)))
 
 
-def test_perspective_needs_a_camera():
-    with pytest.raises(ValueError, match="camera"):
-        perspective_gradient(np.zeros((2, 2)), np.zeros((2, 2)), PixelGrid(2, 2, 1.0))
+@pytest.mark.parametrize("camera", [None, (30.0, -20.0, 100.0)])
+def test_slopes_are_limited_by_their_angle_to_the_ray(camera, rng):
+    grid = PixelGrid(9, 11, 5.0, camera)
+    normals = rng.standard_normal((9, 11, 3))
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    facing = facing_rays(normals, grid)
+    free, limited = (seen_gradient(normals, facing, grid, angle) for angle in (89.999, 60.0))
+    ray = (
+        1.0
+        if camera is None
+        else np.sqrt(1 + ((grid.x() - 30) / 100) ** 2 + ((grid.y()[:, None] + 20) / 100) ** 2)
+    )
+    steep = np.arccos(np.minimum(facing / ray, 1)) > np.radians(60)
+    for before, after in zip(free, limited, strict=True):
+        assert np.array_equal(np.isnan(before), np.isnan(facing))
+        assert after[~steep] == pytest.approx(before[~steep], nan_ok=True)
+        assert (np.abs(after[steep]) < np.abs(before[steep])).all()
+
+
+@pytest.fixture
+def hemisphere():
+    """Heights of a ball that fills its mask to the rim, its normals and its grid, lengths in px."""
+    grid = PixelGrid(121, 131, 1.0, unit="px")
+    x, y = np.meshgrid(grid.x(), grid.y())
+    squared = 50.0**2 - x**2 - y**2
+    z = np.sqrt(np.where(squared > 0, squared, np.nan))
+    return z, np.stack([x, y, z], axis=-1) / 50, grid
+
+
+def by_certainty(normals, grid, uncertainty=None):
+    facing = facing_rays(normals, grid)
+    gradient = seen_gradient(normals, facing, grid, 89.5)
+    return weighted_least_squares(*gradient, facing, uncertainty, grid)
+
+
+def shaken(normals, degrees, rng):
+    """Normals each turned by an angle of this standard deviation about either axis."""
+    turned = normals + np.radians(degrees) * rng.standard_normal(normals.shape)
+    return turned / np.linalg.norm(turned, axis=-1, keepdims=True)
+
+
+def test_a_noisy_ball_is_recovered_to_its_steep_rim(hemisphere, rng):
+    z, normals, grid = hemisphere
+    noisy = shaken(normals, 0.3, rng)
+    facing = facing_rays(noisy, grid)
+    noisy[np.isnan(facing)] = np.nan
+    known = np.isfinite(facing)
+    inner = known & (z > 15)
+    weighted = by_certainty(noisy, grid) - z
+    limited, believed = (
+        masked_least_squares(*seen_gradient(noisy, facing, grid, angle)) - z for angle in (70.0, 89.5)
+    )
+    assert np.std(weighted[known]) < 0.3 * np.std(limited[known])
+    assert np.std(weighted[inner]) < min(0.25 * np.std(believed[inner]), np.std(limited[inner]))
+
+
+def test_a_part_stated_to_be_uncertain_does_not_bend_the_rest(rng):
+    z, p, q = (0.05 * a for a in peaks(160))
+    grid = PixelGrid(160, 160, 6 / 159, unit="px")
+    normals = np.stack([-p, q, np.full_like(p, grid.pixel_size)], axis=-1)
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    uncertain = np.zeros(p.shape, bool)
+    uncertain[50:110, 60:100] = True
+    sigma = np.where(uncertain, 20.0, 0.2)
+    noisy = shaken(normals, sigma[..., None], rng)
+    noisy[..., 2] = np.maximum(noisy[..., 2], 0.01)
+    stated = relative_uncertainty(sigma, ~np.isnan(z))
+    unweighted = simchony(*seen_gradient(noisy, facing_rays(noisy, grid), grid, 70.0))
+    weighted, not_stated = (by_certainty(noisy, grid, known) for known in (stated, None))
+    errors = [np.std((found - z)[~uncertain]) for found in (weighted, not_stated, unweighted)]
+    assert errors[0] < 0.8 * errors[1]
+    assert errors[0] < 0.1 * errors[2]
+
+
+def test_equal_uncertainties_weigh_as_none(hemisphere):
+    _, normals, grid = hemisphere
+    expected = by_certainty(normals, grid)
+    for value in (0.3, 7.0):
+        stated = relative_uncertainty(np.full(grid.shape, value), np.isfinite(normals[..., 0]))
+        assert np.array_equal(by_certainty(normals, grid, stated), expected, equal_nan=True)
+
+
+def test_only_ratios_of_uncertainties_matter_and_unstated_ones_are_middling():
+    stated = np.array([[0.2, 0.4, 0.8, np.nan, 0.0]])
+    known = np.ones(stated.shape, bool)
+    for unit in (1.0, 0.017, 60.0):
+        assert relative_uncertainty(stated * unit, known)[0] == pytest.approx([0.5, 1, 2, 1, 1])
+    assert (relative_uncertainty(np.full((2, 2), np.nan), np.ones((2, 2), bool)) == 1).all()
+
+
+def test_a_few_uncertain_slopes_leave_a_field_even_and_many_do_not():
+    facing = np.full((100, 100), 0.9)
+    for pixels, even in ((0, True), (10, True), (11, False)):
+        facing.flat[:pixels] = 0.2
+        assert evenly_certain(facing, None) is even
+    facing[:] = 0.9
+    uncertainty = np.where(np.arange(100) < 3, 9.0, 1.0) * np.ones((100, 1))
+    assert not evenly_certain(facing, uncertainty)
+    assert evenly_certain(np.full((3, 3), np.nan), None)
+
+
+def test_a_tear_is_smeared_far_less_than_by_equal_weights():
+    # Half a hill: the height jumps by 6 px along its cut, which no normal shows.
+    r, c = np.indices((120, 120)) - 59.5
+    z = np.where(c > 0, 6 * np.exp(-(r**2 + c**2) / 128), 0)
+    normals = np.stack([z * c / 64, -z * r / 64, np.ones_like(z)], axis=-1)
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    grid = PixelGrid(120, 120, 1.0, unit="px")
+    alike = simchony(*seen_gradient(normals, facing_rays(normals, grid), grid, 89.5))
+    assert rms_after_constant(by_certainty(normals, grid), z) < 0.4 * rms_after_constant(alike, z)
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+def test_weights_keep_masks_islands_and_precision(rng, dtype):
+    z, p, q = parabola((60, 71))
+    known = rng.random(z.shape) > 0.1
+    known[:, 40] = False
+    p, q = (np.where(known, g, np.nan).astype(dtype) for g in (p, q))
+    before = p.copy(), q.copy()
+    facing = np.where(known, rng.uniform(0.2, 1, z.shape), np.nan).astype(dtype)
+    found = weighted_least_squares(p, q, facing, None, PixelGrid(60, 71, 1.0))
+    assert found.dtype == dtype
+    assert np.array_equal(np.isnan(found), ~known)
+    true = np.where(known, z, np.nan)
+    assert np.nanmax(np.abs(found - (true - mean_per_island(true)))) < 1e-3 * np.ptp(z)
+    assert np.array_equal(p, before[0], equal_nan=True)
+    assert np.array_equal(q, before[1], equal_nan=True)
+    nothing = np.full((5, 6), np.nan, dtype)
+    assert np.isnan(weighted_least_squares(nothing, nothing, nothing, None, PixelGrid(5, 6, 1.0))).all()
+
+
+@pytest.mark.parametrize("widest", [0.0, 6.0])
+@pytest.mark.parametrize("shape", [(70, 91), (1, 700), (513, 3)])
+def test_multigrid_takes_away_most_of_an_error_whatever_the_weights(rng, shape, widest):
+    rows, columns = shape
+    across = 10 ** -rng.uniform(0, widest, (rows, columns - 1)).astype(np.float32)
+    down = 10 ** -rng.uniform(0, widest, (rows - 1, columns)).astype(np.float32)
+    error = rng.standard_normal(shape)
+    residual = weighted_laplacian(error, across, down)
+    left = error - Multigrid(across, down).correct(residual)
+    energies = [np.vdot(e, weighted_laplacian(e, across, down)) for e in (error, left)]
+    assert energies[1] < 0.25 * energies[0]
 
 
 # (method, full field, rows 83:310 and columns 90:180 as MATLAB counts them)

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 NLIGHTS = Path(sys.executable).parent / "nlights"
-STAGES = ("lights", "plate", "normals", "height", "maps", "mesh", "report")
+STAGES = ("lights", "plate", "overview", "normals", "height", "maps", "mesh", "report")
 
 
 def command(capture: Path, out: Path) -> list[str]:

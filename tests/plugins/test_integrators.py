@@ -1,5 +1,7 @@
 """The integrators as a recipe uses them: normals in, millimetres out."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ from nlights_core.fields import NormalField
 from nlights_core.frames import PixelGrid
 from nlights_plugins.integrators import FrankotChellappa, Simchony
 
+INTEGRATION = Path(__file__).parents[2].parent / "shared" / "data" / "integration"
 CAMERA = (0.0, 0.0, 1500.0)
 ORTHOGRAPHIC = PixelGrid(60, 81, 0.5)
 
@@ -127,17 +130,108 @@ def test_periodic_bends_what_does_not_repeat_and_mirroring_does_not():
     assert errors[1] < 0.01 * np.std(z)
 
 
-def test_a_steep_flank_is_cut_unless_its_slope_is_believed():
-    # A cone of 80 degrees: 5.67 mm up for every mm inwards.
-    x = np.linspace(-10, 10, 81)
-    xx, yy = np.meshgrid(x, -x)
-    radius = np.maximum(np.hypot(xx, yy), 1e-9)
-    slope = np.tan(np.radians(80))
-    normals = np.stack([slope * xx / radius, slope * yy / radius, np.ones_like(radius)], axis=-1)
-    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
-    field = NormalField(normals.astype(np.float32), PixelGrid(81, 81, 0.25))
-    truth = -slope * radius
-    believed = Simchony(steepest_deg=85).integrate(field).height
-    limited = Simchony().integrate(field).height
-    assert np.ptp(believed[40]) == pytest.approx(np.ptp(truth[40]), rel=0.05)
-    assert np.ptp(limited[40]) == pytest.approx(np.tan(np.radians(70)) * np.ptp(radius[40]), rel=0.05)
+def cone(grid, degrees):
+    """A cone whose flanks rise by this angle towards its middle, and its normals."""
+    x, y = np.meshgrid(grid.x(), grid.y())
+    radius = np.maximum(np.hypot(x, y), 1e-9)
+    slope = np.tan(np.radians(degrees))
+    return -slope * radius, unit(np.stack([slope * x / radius, slope * y / radius, np.ones_like(x)], axis=-1))
+
+
+def test_a_steep_spot_is_believed_by_weights_and_cut_without():
+    grid = PixelGrid(81, 81, 0.25)
+    truth, normals = cone(grid, 80)
+    spot = np.hypot(*np.meshgrid(grid.x(), grid.y())) < 4
+    normals[~spot] = 0, 0, 1
+    truth = np.where(spot, truth, truth[spot].min())
+    believed, cut = (
+        np.ptp(Simchony(weights=weights).integrate(NormalField(normals, grid)).height)
+        for weights in (True, False)
+    )
+    assert believed == pytest.approx(np.ptp(truth), rel=0.05)
+    assert cut < 0.6 * np.ptp(truth)
+
+
+def test_an_even_field_is_transformed_directly_and_weights_change_nothing():
+    _, normals = bump(ORTHOGRAPHIC)
+    confidence = np.random.default_rng(3).uniform(0.1, 0.4, ORTHOGRAPHIC.shape).astype(np.float32)
+    confidence[3, 4] = np.nan
+    heights = [
+        Simchony(weights=weights).integrate(NormalField(normals, ORTHOGRAPHIC, stated)).height
+        for weights, stated in ((False, None), (True, None), (True, confidence))
+    ]
+    assert np.array_equal(heights[0], heights[1])
+    assert np.array_equal(heights[0], heights[2])
+
+
+@pytest.mark.parametrize("camera", [None, CAMERA])
+def test_stated_uncertainty_keeps_a_bad_part_to_itself_in_any_unit(camera):
+    grid = PixelGrid(60, 81, 0.5, camera)
+    z, normals = bump(grid)
+    rng = np.random.default_rng(11)
+    bad = np.zeros(grid.shape, bool)
+    bad[20:40, 50:75] = True
+    normals = unit(normals + np.where(bad, 0.3, 0.002)[..., None] * rng.standard_normal(normals.shape))
+    confidence = np.where(bad, 17.0, 0.11).astype(np.float32)
+    true = z if camera is None else Simchony().integrate(NormalField(bump(grid)[1], grid)).height
+    errors = []
+    for stated in (confidence, 60 * confidence, None):
+        found = Simchony().integrate(NormalField(normals, grid, stated)).height
+        errors.append(np.std((found - true)[~bad]))
+    without = Simchony(weights=False).integrate(NormalField(normals, grid, confidence)).height
+    assert errors[0] == pytest.approx(errors[1], rel=1e-3)
+    assert errors[0] < 0.25 * np.std((without - true)[~bad])
+
+
+def test_steepness_is_measured_against_the_viewing_ray():
+    # A wall that the camera at its side sees at a slant of 30 degrees, though it is past upright.
+    grid = PixelGrid(40, 50, 1.0, (-400.0, 0.0, 100.0))
+    towards = np.radians(95)
+    normals = np.broadcast_to(
+        unit(np.array([-np.sin(towards), 0.0, np.cos(towards)])), (*grid.shape, 3)
+    ).copy()
+    rays = np.stack(np.broadcast_arrays(grid.x(), grid.y()[:, None], 0.0), axis=-1) - grid.camera
+    t = 1 / (rays @ normals[0, 0].astype(float))
+    height = Simchony().integrate(NormalField(normals, grid)).height
+    truth = grid.camera[2] * (1 - t / t.mean())
+    assert np.abs(height - truth).max() < 1e-4 * np.ptp(truth)
+
+
+@pytest.mark.skipif(not (INTEGRATION / "vase.mat").exists(), reason="the vase is not beside the repository")
+def test_the_masked_vase_is_right_to_a_twentieth_of_a_pixel():
+    from scipy.io import loadmat
+
+    vase = loadmat(INTEGRATION / "vase.mat")
+    known = vase["mask"] > 0
+    normals = unit(np.stack([-vase["q"], vase["p"], np.ones(known.shape)], axis=-1))
+    normals[~known] = np.nan
+    found = Simchony().integrate(NormalField(normals, PixelGrid(*known.shape, 1.0, unit="px"))).height
+    assert np.std((found - vase["u"])[known]) < 0.055
+
+
+def object_seen_by_pinhole(folder):
+    """Measured normals of DiLiGenT on the grid of its camera, and the measured depth, mm."""
+    import imagecodecs
+
+    normals = imagecodecs.imread((folder / "normal_map.png").read_bytes()) * (2 / 65535) - 1
+    mask = imagecodecs.imread((folder / "mask.png").read_bytes())
+    inside = mask.reshape(*mask.shape[:2], -1)[..., 0] > 0
+    k = np.loadtxt(folder / "K.txt")
+    normals[..., 1] *= k[0, 0] / k[1, 1]
+    normals = unit(normals)
+    normals[~inside] = np.nan
+    rows, columns = inside.shape
+    camera = (k[0, 2] - (columns - 1) / 2, (rows - 1) / 2 - k[1, 2], k[0, 0])
+    depth = np.load(folder / "depth_gt.npz")["depth_gt"]
+    return NormalField(normals, PixelGrid(rows, columns, 1.0, camera, "px")), np.where(inside, depth, np.nan)
+
+
+@pytest.mark.parametrize(("name", "most"), [("bear", 0.05), ("cow", 0.12), ("pot1", 0.5), ("cat", 0.1)])
+def test_depths_of_real_objects_come_out_of_their_normals(name, most):
+    folder = INTEGRATION / "diligent_depth" / name
+    if not folder.exists():
+        pytest.skip("the depths of DiLiGenT are not beside the repository")
+    field, depth = object_seen_by_pinhole(folder)
+    found = field.grid.camera[2] - Simchony().integrate(field).height.astype(float)
+    found *= np.nanmedian(depth / found)
+    assert np.nanmean(np.abs(found - depth)) < most

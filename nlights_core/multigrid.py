@@ -1,0 +1,195 @@
+"""An approximate inverse of a weighted grid Laplacian: aggregation multigrid."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nlights_core.frames import Array
+from nlights_core.integration import bands
+
+DAMPING = 0.8
+"""Share of a Jacobi step that is taken; below 1, so that a chequered error dies out too."""
+
+COARSEST = 256
+"""Pixels of the coarsest grid, whose Laplacian is inverted as a matrix."""
+
+CLOSE_ENOUGH = 0.25
+"""A coarse residual that has fallen to this share needs no second step."""
+
+
+def weighted_laplacian(height: Array, across: Array, down: Array) -> Array:
+    """What each pixel's height exceeds its neighbours' by, each neighbour by its weight.
+
+    Parameters
+    ----------
+    height : (H, W) float array
+        Finite everywhere.
+    across : (H, W - 1) float array
+        Weight of the step from each column to the next, 0 where there is none.
+    down : (H - 1, W) float array
+        Weight of the step from each row to the next.
+
+    Returns
+    -------
+    (H, W) array
+        In the precision of ``height``.
+
+    Examples
+    --------
+    >>> weighted_laplacian(np.array([[0.0, 1.0, 3.0]]), np.array([[1.0, 10.0]]), np.empty((0, 3)))
+    array([[ -1., -19.,  20.]])
+    """
+    excess = np.zeros_like(height)
+    for lines in bands(len(height)):
+        steps = np.diff(height[lines], axis=1) * across[lines]
+        excess[lines, 1:] += steps
+        excess[lines, :-1] -= steps
+    for lines in bands(len(down)):
+        below = slice(lines.start + 1, lines.stop + 1)
+        steps = (height[below] - height[lines]) * down[lines]
+        excess[below] += steps
+        excess[lines] -= steps
+    return excess
+
+
+@dataclass(frozen=True)
+class _Level:
+    across: Array
+    down: Array
+    inverse_diagonal: Array
+    """0 where a pixel has no step at all."""
+
+
+class Multigrid:
+    """An approximate inverse of `weighted_laplacian`, to precondition conjugate gradients.
+
+    Each level joins two by two pixels into one, whose steps weigh as much as all that cross its
+    border.  Blocks of one height are a crude picture of a slope, and too stiff; two conjugate
+    gradient steps on every coarse level (a K-cycle) find the right stiffness.  Therefore the
+    result depends on the residual in a not quite linear way, and the iteration that it serves
+    must be a *flexible* one.
+
+    Parameters
+    ----------
+    across, down : (H, W - 1) and (H - 1, W) float32 arrays
+        Weights of the steps, 0 where there is none.  They are kept, not copied.
+
+    References
+    ----------
+    Y. Notay, "An aggregation-based algebraic multigrid method", Electronic Transactions on
+    Numerical Analysis 37 (2010) 123-146.
+    """
+
+    def __init__(self, across: Array, down: Array) -> None:
+        self._levels = [_level(across, down)]
+        while self._levels[-1].inverse_diagonal.size > COARSEST:
+            across, down = _joined(across), _joined(down.T).T
+            self._levels.append(_level(across, down))
+        self._coarsest_inverse = _inverse(self._levels[-1])
+
+    def correct(self, residual: Array) -> Array:
+        """Height whose weighted Laplacian is nearly ``residual``.
+
+        Parameters
+        ----------
+        residual : (H, W) float array
+            0 where a pixel has no step.
+
+        Returns
+        -------
+        (H, W) float32 array
+        """
+        largest = float(np.abs(residual).max()) or 1.0
+        height = self._cycle(0, (residual / largest).astype(np.float32))
+        height *= np.float32(largest)
+        return height
+
+    def _cycle(self, depth: int, residual: Array) -> Array:
+        """One damped Jacobi step, the coarser grid's correction, and another step."""
+        if depth == len(self._levels) - 1:
+            height = self._coarsest_inverse @ residual.ravel()
+            return height.reshape(residual.shape).astype(np.float32)
+        level = self._levels[depth]
+        height = DAMPING * level.inverse_diagonal * residual
+        left = residual - weighted_laplacian(height, level.across, level.down)
+        coarse = self._coarse_steps(depth + 1, _block_sums(left))
+        _add_blocks(height, coarse)
+        left = residual - weighted_laplacian(height, level.across, level.down)
+        left *= level.inverse_diagonal
+        left *= DAMPING
+        height += left
+        return height
+
+    def _coarse_steps(self, depth: int, residual: Array) -> Array:
+        """One or two steps of conjugate gradients on a coarse level, preconditioned by its cycle."""
+        first = self._cycle(depth, residual)
+        if depth == len(self._levels) - 1:
+            return first
+        level = self._levels[depth]
+        first_change = weighted_laplacian(first, level.across, level.down)
+        stiffness = _dot(first, first_change)
+        if stiffness <= 0:
+            return first
+        length = np.float32(_dot(first, residual) / stiffness)
+        left = residual - length * first_change
+        if _dot(left, left) <= CLOSE_ENOUGH**2 * _dot(residual, residual):
+            return length * first
+        second = self._cycle(depth, left)
+        second_change = weighted_laplacian(second, level.across, level.down)
+        overlap = _dot(second, first_change) / stiffness
+        second_stiffness = _dot(second, second_change) - overlap**2 * stiffness
+        if second_stiffness <= 0:
+            return length * first
+        second_length = _dot(second, left) / second_stiffness
+        along_first = np.float32(length - overlap * second_length)
+        steps: Array = along_first * first + np.float32(second_length) * second
+        return steps
+
+
+def _level(across: Array, down: Array) -> _Level:
+    diagonal = np.zeros((len(across), down.shape[1]), np.float32)
+    diagonal[:, 1:] += across
+    diagonal[:, :-1] += across
+    diagonal[1:] += down
+    diagonal[:-1] += down
+    inverse = np.divide(1, diagonal, out=np.zeros_like(diagonal), where=diagonal > 0)
+    return _Level(across, down, inverse)
+
+
+def _joined(weights: Array) -> Array:
+    """Weights of steps along lines, for blocks of two by two: sums over what crosses their border."""
+    crossing = weights[:, 1::2]
+    joined = crossing[0::2].copy()
+    joined[: len(crossing) // 2] += crossing[1::2]
+    return joined
+
+
+def _block_sums(values: Array) -> Array:
+    columns = values[:, 0::2].copy()
+    columns[:, : values.shape[1] // 2] += values[:, 1::2]
+    sums = columns[0::2].copy()
+    sums[: len(columns) // 2] += columns[1::2]
+    return sums
+
+
+def _add_blocks(height: Array, blocks: Array) -> None:
+    """Add to every pixel the height of its block, in place."""
+    for i in (0, 1):
+        for j in (0, 1):
+            pixels = height[i::2, j::2]
+            pixels += blocks[: pixels.shape[0], : pixels.shape[1]]
+
+
+def _inverse(level: _Level) -> Array:
+    """Pseudo-inverse of the Laplacian of a small grid, (pixels, pixels) float64."""
+    shape = level.inverse_diagonal.shape
+    units = np.eye(level.inverse_diagonal.size).reshape(-1, *shape)
+    columns = [weighted_laplacian(unit, level.across, level.down).ravel() for unit in units]
+    inverse: Array = np.linalg.pinv(np.array(columns), rcond=1e-12, hermitian=True)
+    return inverse
+
+
+def _dot(a: Array, b: Array) -> float:
+    return float(np.vdot(a, b))

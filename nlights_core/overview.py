@@ -1,0 +1,214 @@
+"""The overview: a tile's height at reduced resolution, which is all that near light needs to know.
+
+A surface a millimetre higher is lit from another angle, so normals need the height and the height
+needs the normals.  The height is needed to some hundredths of a millimetre only, and the same for
+neighbouring pixels: so all passes but the last are made on means over blocks of pixels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+
+from nlights_core.algorithms import HeightDetrend, Integrator, NormalSolver
+from nlights_core.arrays import BandWriter
+from nlights_core.development import Darkroom, Raw, bands
+from nlights_core.fields import HeightMap, LightField, NormalField
+from nlights_core.frames import Array, PixelGrid
+from nlights_core.images import is_saturated
+from nlights_core.levelling import Level, level
+from nlights_core.noise import Noise
+from nlights_core.plates import Plate
+from nlights_core.solving import solved
+from nlights_core.verification import checked_array, checked_height
+
+COLUMNS = 500
+"""About how many blocks an overview is wide, or more."""
+
+ROWS = 4
+"""About how many rows of each block are read: their mean is good enough."""
+
+
+@dataclass
+class ReducedRoom(Darkroom):
+    """A darkroom of photographs that are already read, as means over blocks of pixels.
+
+    Parameters
+    ----------
+    images : (L, h, w, C) float32 array
+        Linear, dark subtracted.
+    saturated : (L, h, w) bool array
+        Where a pixel of the block is saturated.
+    inside : (h, w) bool array
+        The mask.
+    """
+
+    images: Array | None = None
+    saturated: Array | None = None
+    inside: Array | None = None
+
+    def raw(self, start: int, stop: int, lights: LightField) -> Raw:
+        """A band of every photograph."""
+        assert self.images is not None
+        assert self.saturated is not None
+        assert self.inside is not None
+        power = lights.power.astype(np.float32)[:, None, None, :]
+        images = self.images[:, start:stop] / power
+        return Raw(start, stop, images, self.saturated[:, start:stop], self.inside[start:stop])
+
+    def check(self) -> None:
+        """Nothing: the photographs are judged where they are read in full."""
+
+
+def reduced_room(room: Darkroom, progress: Callable[[float], None]) -> tuple[ReducedRoom, int]:
+    """Read the photographs of a tile as means over blocks.
+
+    Parameters
+    ----------
+    room : Darkroom
+        The open photographs.
+    progress : callable
+        Told the share done.
+
+    Returns
+    -------
+    room : ReducedRoom
+    factor : int
+        Edge of a block, px; rows and columns that fill no block are left out.
+    """
+    factor = max(1, room.grid.columns // COLUMNS)
+    rows, columns = room.grid.rows // factor, room.grid.columns // factor
+    shape = (len(room.photographs), rows, columns)
+    images = np.empty((*shape, room.info.channels), np.float32)
+    saturated, inside = np.zeros(shape, bool), np.ones(shape[1:], bool)
+    limited = bool(np.isfinite(room.info.saturation))
+    lines = range(0, factor, max(1, factor // ROWS))
+
+    def block_mean(values: Array) -> Array:
+        used = values[:, : columns * factor]
+        return np.asarray(used.reshape(-1, columns, factor, used.shape[-1]).mean(axis=(0, 2)))
+
+    for row in range(rows):
+        chosen = [row * factor + line for line in lines]
+        if room.mask is not None:
+            inside[row] = block_mean(_lines(room.mask.band, chosen)).max(axis=-1) > 0
+        dark = 0 if room.dark is None else block_mean(_lines(room.dark.band, chosen))
+        for i, photograph in enumerate(room.photographs.values()):
+            light = _lines(photograph.band, chosen)
+            images[i, row] = block_mean(light) - dark
+            if limited:
+                saturated[i, row] = block_mean(is_saturated(light)[..., None])[..., 0] > 0
+        progress((row + 1) / rows)
+    kept = {f.name: getattr(room, f.name) for f in fields(Darkroom) if f.init and not f.name.startswith("_")}
+    kept |= {
+        "grid": PixelGrid(rows, columns, room.grid.pixel_size * factor, room.grid.camera, room.grid.unit)
+    }
+    kept |= {"mask": None, "exposures": {}}
+    small = ReducedRoom(**kept, images=images, saturated=saturated, inside=inside)
+    means = len(lines) * factor
+    small.noise = Noise(room.noise.gain / means, room.noise.readout / means)
+    return small, factor
+
+
+def _lines(band: Callable[[int, int], Array], rows: list[int]) -> Array:
+    """Some rows of a photograph, (n, W, C)."""
+    if rows[-1] - rows[0] + 1 == len(rows):
+        return band(rows[0], rows[-1] + 1)
+    return np.concatenate([band(row, row + 1) for row in rows])
+
+
+def overview(
+    room: ReducedRoom,
+    lights: LightField,
+    plate: Plate | None,
+    bias: Array | None,
+    solver: NormalSolver,
+    integrator: Integrator,
+    detrend: HeightDetrend | None,
+    passes: int,
+    levels: bool,
+) -> tuple[Array, Level]:
+    """Find the height, and what the photographs say of its constant and of the lamps.
+
+    Parameters
+    ----------
+    room : ReducedRoom
+        The photographs.
+    lights, plate : LightField, Plate or None
+        As for `nlights_core.solving.solve`.
+    bias : (h, w, 3) array or None
+        Subtracted from the normals.
+    solver, integrator, detrend : NormalSolver, Integrator, HeightDetrend or None
+        Those of the recipe.
+    passes : int
+        How often.
+    levels : bool
+        Whether the constant can be found; see `nlights_core.levelling`.
+
+    Returns
+    -------
+    height : (h, w) float32 array
+        NaN where not known.
+    level : Level
+        Of the last pass.
+    """
+    height: Array | None = None
+    found = Level(0.0, None, np.ones(len(lights.lamps)))
+    for _ in range(passes):
+        lamps = lights.stronger(found.strengths)
+        parts = [solved(solver, band) for band in room.bands(lamps, plate, height)]
+        normals, confidence = (
+            np.concatenate([getattr(p, n) for p in parts]) for n in ("normals", "confidence")
+        )
+        if bias is not None:
+            normals = normals - bias
+            normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+        surface = integrator.integrate(NormalField(normals, room.grid, confidence))
+        height = checked_height(integrator, surface, room.grid.shape)
+        if detrend is not None:
+            trend = detrend.trend(HeightMap(height, room.grid))
+            height = height - checked_array(detrend, "the trend", trend, room.grid.shape)
+        if levels and plate is not None:
+            found = level(room, lights, plate, height)
+            height = height + np.float32(found.offset)
+    assert height is not None
+    return height, found
+
+
+def write_enlarged(path: Path, height: Array, factor: int, shape: tuple[int, int]) -> None:
+    """Write an overview's height on the grid of the photographs, by linear interpolation.
+
+    Parameters
+    ----------
+    path : Path
+        ``height.npy``.
+    height : (h, w) float32 array
+        NaN where not known: filled with the nearest that is.
+    factor : int
+        Edge of a block, px.
+    shape : (int, int)
+        Rows and columns of the photographs.
+    """
+    from scipy.ndimage import distance_transform_edt
+
+    unknown = np.isnan(height)
+    if unknown.any():
+        nearest = distance_transform_edt(unknown, return_distances=False, return_indices=True)
+        height = height[tuple(nearest)]
+    left, right, across = _between(shape[1], factor, height.shape[1])
+    wide = height[:, left] * (1 - across) + height[:, right] * across
+    above, below, down = _between(shape[0], factor, height.shape[0])
+    with BandWriter(path, shape) as file:
+        for start, stop in bands(PixelGrid(*shape, 1.0), 16):
+            share = down[start:stop, None]
+            file.write(wide[above[start:stop]] * (1 - share) + wide[below[start:stop]] * share)
+
+
+def _between(length: int, factor: int, blocks: int) -> tuple[Array, Array, Array]:
+    """For each pixel of a line the blocks before and after it, and how near it is to the latter."""
+    place = np.clip((np.arange(length) + 0.5) / factor - 0.5, 0, blocks - 1)
+    before = np.minimum(place.astype(np.intp), max(blocks - 2, 0))
+    return before, np.minimum(before + 1, blocks - 1), (place - before).astype(np.float32)

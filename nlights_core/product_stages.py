@@ -1,0 +1,99 @@
+"""Stages whose artefacts hold products; the others, and what a stage is, are in `nlights_core.stages`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from nlights_core import products
+from nlights_core.arrays import read_array
+from nlights_core.capture import Tile
+from nlights_core.store import ArtefactRef, Progress, Store, Work, describe
+from nlights_core.surveys import grid_of, survey
+
+
+def maps(
+    store: Store,
+    tile: Tile,
+    normals: ArtefactRef,
+    height: ArtefactRef,
+    white: ArtefactRef | None,
+    trend: ArtefactRef | None,
+    integrated: ArtefactRef | None = None,
+    perspective: bool = False,
+) -> Work:
+    """Products that are images: normals, albedo, reflection, height, confidence, trend.
+
+    ``white`` is the photographed plate, which makes the albedo absolute, where there is one.
+    ``integrated`` is the height of these normals before anything was done to it, where they shall
+    be made integrable with it, and ``perspective`` says whether its integrator followed the rays
+    of the camera.
+    """
+    inputs = {"normals": normals, "height": height, "trend": trend, "integrated": integrated}
+    facts = {"white_reflectance": tile.white_reflectance if white else None, "perspective": perspective}
+    ref, record = describe("maps", tile.artwork, tile.name, inputs=inputs, facts=facts)
+
+    def make(folder: Path, progress: Progress) -> None:
+        info = survey(tile)
+        products.write_maps(
+            folder,
+            products.open_maps(store, normals, height, trend),
+            grid_of(tile, info),
+            white=tile.white_reflectance if white else None,
+            icc=info.icc,
+            progress=progress,
+            integrated=read_array(store.path(integrated) / "height.npy") if integrated else None,
+            perspective=perspective,
+        )
+
+    return Work(ref, record, make)
+
+
+def mesh(store: Store, tile: Tile, maps: ArtefactRef, height: ArtefactRef) -> Work:
+    """Products that are meshes: a vertex per pixel, and a decimated one."""
+    ref, record = describe("mesh", tile.artwork, tile.name, inputs={"maps": maps, "height": height})
+
+    def make(folder: Path, progress: Progress) -> None:
+        grid = grid_of(tile, survey(tile))
+        surface = read_array(store.path(height) / "height.npy")
+        products.write_meshes(folder, surface, store.path(maps), grid, progress)
+
+    return Work(ref, record, make)
+
+
+def report(
+    store: Store,
+    tile: Tile,
+    recipe: dict[str, Any],
+    lights: ArtefactRef,
+    plate: ArtefactRef | None,
+    bias: ArtefactRef | None,
+    normals: ArtefactRef,
+    height: ArtefactRef,
+    trend: ArtefactRef | None,
+    maps: ArtefactRef,
+    mesh: ArtefactRef,
+) -> Work:
+    """Products for people: ``report.html``, ``quality.json``, ``provenance.json``."""
+    inputs = {
+        "lights": lights,
+        "plate": plate,
+        "bias": bias,
+        "normals": normals,
+        "height": height,
+        "trend": trend,
+        "maps": maps,
+        "mesh": mesh,
+    }
+    facts = {
+        "recipe": recipe,
+        "title": tile.title,
+        "origin_mm": tile.origin_mm,
+        "stand": tile.stand.model_dump(mode="json") if tile.stand else None,
+    }
+    ref, record = describe("report", tile.artwork, tile.name, inputs=inputs, facts=facts)
+
+    def make(folder: Path, progress: Progress) -> None:
+        products.write_report(folder, store, tile, record, inputs, grid_of(tile, survey(tile)))
+
+    return Work(ref, record, make)

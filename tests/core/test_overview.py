@@ -1,0 +1,76 @@
+"""The overview: block means that are those of all pixels, heights that come back to their pixels."""
+
+import numpy as np
+import pytest
+import tifffile
+
+from nlights_core.configurations import load_stand
+from nlights_core.development import darkroom
+from nlights_core.fields import LightField
+from nlights_core.manifest import load_capture
+from nlights_core.overview import reduced_room, write_enlarged
+from nlights_core.recipe import load_recipe
+from nlights_core.stages import lights, overview, plate
+from nlights_core.store import Store
+from nlights_core.testing.simulation import simulate
+
+
+@pytest.fixture(scope="module")
+def relief(tmp_path_factory):
+    """1050 columns: blocks of 2 x 2 pixels, and an odd number of rows that fill no block."""
+    folder = tmp_path_factory.mktemp("relief") / "capture"
+    simulate(folder, load_stand("vertical-dark"), scene="relief", width=1050, seed=3)
+    return folder
+
+
+def test_blocks_hold_the_means_of_their_pixels_and_know_saturation(relief, tmp_path):
+    tile = load_capture(relief)[0]
+    first = next(iter(tile.frames.values()))
+    with darkroom(tile, tmp_path) as room:
+        small, factor = reduced_room(room, lambda _: None)
+        unit = LightField(tile.lamps, positions=load_stand("vertical-dark").lamp_positions())
+        raw = small.raw(10, 12, unit)
+    assert factor == 2
+    assert small.grid.shape == (tifffile.imread(first).shape[0] // 2, 525)
+    assert small.grid.pixel_size == pytest.approx(2 * 500 / 1050)
+    light = tifffile.imread(first)[20:24, :1050] / 65535 - tifffile.imread(tile.dark)[20:24, :1050] / 65535
+    expected = light.reshape(2, 2, 525, 2, 3).mean(axis=(1, 3))
+    np.testing.assert_allclose(raw.images[0], expected, atol=1e-6)
+    assert not raw.saturated.any()
+
+
+@pytest.mark.parametrize("factor", [1, 3, 4])
+def test_a_plane_comes_back_to_its_pixels(tmp_path, factor):
+    shape = (41, 62)
+    row, column = np.indices(shape, dtype=np.float32)
+    plane = 0.5 * column - 0.2 * row
+    rows, columns = (n // factor for n in shape)
+    blocks = plane[: rows * factor, : columns * factor].reshape(rows, factor, columns, factor)
+    write_enlarged(tmp_path / "height.npy", blocks.mean(axis=(1, 3)), factor, shape)
+    found = np.load(tmp_path / "height.npy")
+    assert found.shape == shape
+    assert found.dtype == np.float32
+    inner = (slice(factor, rows * factor - factor), slice(factor, columns * factor - factor))
+    np.testing.assert_allclose(found[inner], plane[inner], atol=1e-4)
+
+
+def test_what_is_not_known_takes_the_nearest_height(tmp_path):
+    height = np.full((6, 8), 2.0, np.float32)
+    height[2:, 5:] = np.nan
+    write_enlarged(tmp_path / "height.npy", height, 3, (18, 24))
+    np.testing.assert_array_equal(np.load(tmp_path / "height.npy"), 2)
+
+
+def test_the_height_of_a_relief_is_found_to_some_hundredths(relief, tmp_path):
+    tile, recipe, store = load_capture(relief)[0], load_recipe("default"), Store(tmp_path / "store")
+    lamps = lights(store, tile, recipe.light_model)
+    store.ensure(lamps)
+    flat = plate(store, tile, recipe.detrend.images, lamps.ref)
+    store.ensure(flat)
+    work = overview(store, tile, recipe.normals, recipe.integrator, lamps.ref, flat.ref, None, None, 2)
+    store.ensure(work)
+    found = np.load(store.path(work.ref) / "height.npy")
+    truth = tifffile.imread(relief / "truth" / "height.tif")
+    # The constant is found as well: the height counts from the plane of the flat.
+    assert np.abs((found - truth).mean()) < 0.06
+    assert np.std(found - truth) < 0.05
