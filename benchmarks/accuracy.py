@@ -7,12 +7,12 @@ import argparse
 import platform
 from pathlib import Path
 
-import accuracy_tables
 import numpy as np
 import scipy
 from accuracy_integration import depths, surfaces
 from accuracy_photographs import diligent, strengths
 from accuracy_simulations import simulations
+from tables import write
 
 import nlights_core
 
@@ -47,9 +47,9 @@ def main() -> None:
     for name, section in SECTIONS.items():
         if wanted.only in (None, name):
             print(f"{name}:", flush=True)
-            tables = section(wanted.quick)
-            accuracy_tables.write(out, tables, conditions)
-            for table in tables:
+            found = section(wanted.quick)
+            write(out, "accuracy", found, conditions)
+            for table in found:
                 print(f"\n{table.markdown()}", flush=True)
     print(f"{out / 'accuracy.md'}, {out / 'accuracy.json'}")
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 from accuracy_subjects import integrators, present
-from accuracy_tables import Cell, Table, kept
+from tables import Cell, Table, kept
 
 from nlights_core.algorithms import Integrator
 from nlights_core.fields import NormalField

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 from accuracy_subjects import DATA, present, solvers
-from accuracy_tables import Cell, Table, kept
+from tables import Cell, Table, kept
 
 from nlights_core.algorithms import NormalSolver
 from nlights_core.capture import Encoding

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 from accuracy_subjects import solvers
-from accuracy_tables import Cell, Table, kept
+from tables import Cell, Table, kept
 
 from nlights_core.configurations import load_stand
 from nlights_core.manifest import load_capture

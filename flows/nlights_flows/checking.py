@@ -13,8 +13,8 @@ from nlights_core.capture import Tile
 from nlights_core.development import Exposure, bands, darkroom
 from nlights_core.errors import NlightsError
 from nlights_core.fields import LightField
-from nlights_core.memory import require
 from nlights_core.recipe import Recipe
+from nlights_flows.running import require_memory
 
 
 @dataclass
@@ -102,5 +102,5 @@ def _read(
             progress(stop / grid.rows)
         if not flats:
             finding.exposures = room.exposures
-            require(recipe.integrator.bytes_per_pixel * grid.rows * grid.columns, f"{tile.name}: integrator")
+            require_memory(tile, recipe)
         room.check()

@@ -192,6 +192,12 @@ def digitise(
             help="Run as a Prefect flow; implied where a Prefect API is configured (PREFECT_API_URL).",
         ),
     ] = False,
+    memory: Annotated[
+        str | None,
+        typer.Option(
+            metavar="SIZE", help="Memory that a tile may take, as 6GiB; half of the machine's by default."
+        ),
+    ] = None,
 ) -> None:
     """Turn the photographs of an artwork into measured surfaces.
 
@@ -202,6 +208,8 @@ def digitise(
     from nlights_core.store import make_writable
     from nlights_flows import console, environment
 
+    if memory is not None:
+        _allow(memory)
     chosen, tiles, kept = _prepared(artwork, recipe, out, store, stand, root, tile)
     make_writable(out, "--out")
     kept.prepare()
@@ -231,6 +239,16 @@ def digitise(
                 watch.tile_done(outcomes[-1])
     console.show_outcomes(outcomes)
     raise typer.Exit(exit_code(outcomes))
+
+
+def _allow(memory: str) -> None:
+    """Set the memory budget of this process and of those it starts."""
+    from nlights_core.memory import VARIABLE, parse_size
+
+    try:
+        os.environ[VARIABLE] = str(parse_size(memory))
+    except ValueError as fault:
+        raise typer.BadParameter(str(fault), param_hint="--memory") from None
 
 
 @app.command()

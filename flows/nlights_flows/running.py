@@ -12,9 +12,11 @@ from typing import Any, Literal
 
 from nlights_core.capture import Tile
 from nlights_core.errors import NlightsError
+from nlights_core.memory import require
 from nlights_core.publishing import publish
 from nlights_core.recipe import Recipe
 from nlights_core.store import ArtefactRef, Store
+from nlights_core.surveys import survey
 from nlights_flows.chain import digitise_tile
 
 
@@ -75,7 +77,23 @@ def run_tile(tile: Tile, recipe: Recipe, store: Store, out: Path, call: Callable
     Path
         The folder of the products.
     """
+    require_memory(tile, recipe)
     return publish(store, tile, digitise_tile(tile, recipe, call), out)
+
+
+def require_memory(tile: Tile, recipe: Recipe) -> None:
+    """Refuse a tile that does not fit the memory, before hours are spent on it.
+
+    Only an integrator holds a whole field; everything else takes bands of rows.
+
+    Raises
+    ------
+    TileError
+        With need, budget and remedy.
+    """
+    info = survey(tile)
+    need = recipe.integrator.bytes_per_pixel * info.rows * info.columns
+    require(need, f"{tile.artwork}/{tile.name}: integrator: {recipe.integrator.name}")
 
 
 def run_directly(tile: Tile, recipe: Recipe, store: Store, out: Path, watch: Watch) -> Outcome:

@@ -131,7 +131,7 @@ def compared_recipes(recipe: Recipe) -> dict[str, Recipe]:
 
 
 def solved(tile: Tile, recipe: Recipe, folder: Path) -> tuple[Array, Array]:
-    """Run the chain as far as the height; maps, mesh and report are named but not made.
+    """Run the chain as far as the maps; mesh and report are named but not made.
 
     Parameters
     ----------
@@ -152,14 +152,14 @@ def solved(tile: Tile, recipe: Recipe, folder: Path) -> tuple[Array, Array]:
 
     def call(stage: Callable[..., Any], tile: Tile, *arguments: Any) -> ArtefactRef:
         work = stage(store, tile, *arguments)
-        if stage.__name__ not in ("maps", "mesh", "report"):
+        if stage.__name__ not in ("mesh", "report"):
             store.ensure(work)
             latest[stage.__name__] = work.ref
         return work.ref  # type: ignore[no-any-return]
 
     digitise_tile(tile, recipe, call)
-    height = latest.get("trend", latest["height"])
-    return np.load(store.path(latest["normals"]) / "normals.npy"), np.load(store.path(height) / "height.npy")
+    maps = store.path(latest["maps"])
+    return tifffile.imread(maps / "normals.tif"), tifffile.imread(maps / "height.tif")
 
 
 def plane_distances(height: Array, grid: PixelGrid) -> Array:

@@ -187,7 +187,7 @@ def simulate(
         raise CaptureError(f"width: at least 32, seed: at least 0; got width {width}, seed {seed}")
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise CaptureError(f"{folder}: already holds something; name a new or an empty folder")
-    studio = _set_up(stand, scene, width, varnish, seed)
+    studio = set_up(stand, scene, width, varnish, seed)
     folder.parent.mkdir(parents=True, exist_ok=True)
     with TemporaryDirectory(prefix=f".{folder.name}-", dir=folder.parent) as scratch:
         draft = Path(scratch) / "capture"
@@ -209,7 +209,8 @@ def _chance(seed: int, purpose: str) -> Generator:
     return default_rng([seed, zlib.crc32(purpose.encode())])
 
 
-def _set_up(stand: Stand, scene: str, width: int, varnish: bool, seed: int) -> Studio:
+def set_up(stand: Stand, scene: str, width: int, varnish: bool, seed: int) -> Studio:
+    """The studio of a capture that `simulate` would write."""
     size = stand.field_mm[0] / width
     x, y, z = (float(c) for c in stand.camera_position)
     grid = PixelGrid(round(stand.field_mm[1] / size), width, size, (x, y, z))

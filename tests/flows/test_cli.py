@@ -160,3 +160,12 @@ def test_the_core_and_the_help_start_fast_because_nothing_heavy_is_imported():
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     modules = set(done.stdout.split())
     assert not modules & {"prefect", "matplotlib", "trimesh", "jinja2", "rawpy", "skimage"}
+
+
+def test_a_memory_budget_that_is_too_small_is_said_before_anything_runs(painting, tmp_path):
+    done = nlights("digitise", painting, "--out", tmp_path / "out", "--memory", "1MiB", code=2)
+    assert "integrator: simchony: needs" in done.stderr
+    assert "MiB of memory, but --memory allows 1.0 MiB" in done.stderr
+    assert products(tmp_path / "out") == []
+    done = nlights("digitise", painting, "--out", tmp_path / "out", "--memory", "much", code=2)
+    assert "write for instance 6GiB" in done.stderr

@@ -61,13 +61,15 @@ def kept(limit_is_kept: bool) -> str:
     return "met" if limit_is_kept else "**missed**"
 
 
-def write(folder: Path, tables: list[Table], conditions: dict[str, Any]) -> None:
-    """Put tables into ``accuracy.md`` and ``accuracy.json``; all else there stays as it is.
+def write(folder: Path, page: str, tables: list[Table], conditions: dict[str, Any]) -> None:
+    """Put tables into a Markdown page and its JSON; all else there stays as it is.
 
     Parameters
     ----------
     folder : Path
         Made if it is absent; so are the files.
+    page : str
+        Name of both files without their ending.
     tables : list of Table
         Each replaces what stands between its markers, ``<!-- table NAME -->`` and ``<!-- end NAME -->``;
         without markers it is appended.
@@ -75,13 +77,13 @@ def write(folder: Path, tables: list[Table], conditions: dict[str, Any]) -> None
         How the figures were made; kept beside each table in the JSON.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    page, data = folder / "accuracy.md", folder / "accuracy.json"
-    text = page.read_text(encoding="utf-8") if page.exists() else "# How accurate is it?\n"
+    prose, data = folder / f"{page}.md", folder / f"{page}.json"
+    text = prose.read_text(encoding="utf-8") if prose.exists() else f"# {page.capitalize()}\n"
     record = json.loads(data.read_text(encoding="utf-8")) if data.exists() else {}
     for table in tables:
         text = inserted(text, table)
         record[table.name] = {"made": conditions, "rows": table.record()}
-    page.write_text(text, encoding="utf-8")
+    prose.write_text(text, encoding="utf-8")
     data.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
 
 
