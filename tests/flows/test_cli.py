@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 import tifffile
 
+from nlights_core.testing.evaluation import angles_between
+
 NLIGHTS = Path(sys.executable).parent / "nlights"
 PRODUCTS = {
     "albedo.tif",
@@ -54,6 +56,19 @@ def test_a_capture_becomes_every_product(digitised):
     assert height.shape == (120, 160)
     assert normals.dtype == height.dtype == np.float32
     np.testing.assert_allclose(np.linalg.norm(normals, axis=-1), 1, atol=1e-6)
+
+
+def test_the_stated_uncertainty_covers_68_percent_of_the_errors(digitised, painting):
+    folder = digitised / "simulated-painting" / "r0c0"
+    names = ("normals.tif", "confidence.tif")
+    normals, stated = (tifffile.imread(folder / name) for name in names)
+    errors = angles_between(normals, tifffile.imread(painting / "truth" / "normals.tif"))
+    # The whole, and each quarter of the field: dim corners state more.
+    assert np.mean(errors <= stated) == pytest.approx(0.68, abs=0.05)
+    for rows in (slice(0, 60), slice(60, 120)):
+        for columns in (slice(0, 80), slice(80, 160)):
+            covered = np.mean(errors[rows, columns] <= stated[rows, columns])
+            assert covered == pytest.approx(0.68, abs=0.05)
 
 
 def test_the_products_agree_with_the_truth(digitised, painting):
