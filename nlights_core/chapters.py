@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 
 from nlights_core import pictures, plots
-from nlights_core.export import block_means, srgb
+from nlights_core.export import block_means
 from nlights_core.figures import figure_of
 from nlights_core.frames import Array, PixelGrid
 from nlights_core.map_statistics import bias_angle, extremes, unevenness
 from nlights_core.pictures import Picture, Tick
+from nlights_core.viewing import srgb
 
 DETAIL = 640
 """Longest side of the detail that is shown pixel by pixel."""

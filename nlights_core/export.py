@@ -1,4 +1,4 @@
-"""Images that leave the system: TIFFs, views of them, and their colour profile.
+"""Maps that leave the system as TIFFs, and their reduction by blocks.
 
 Everything is written by bands of rows, so that a 100-megapixel map needs no second copy in
 memory, and without dates, so that the same maps give the same bytes.
@@ -6,21 +6,27 @@ memory, and without dates, so that the same maps give the same bytes.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections import deque
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from nlights_core import __version__
+from nlights_core.band_threads import cores, in_order
 from nlights_core.frames import Array, PixelGrid
 
-BAND_BYTES = 32 << 20
+BAND_BYTES = 16 << 20
 """About how much of an array is looked at in one go."""
 
-UNKNOWN_NORMAL = (0, 0, 0)
-"""Colour of an unknown normal in the 8-bit view: no unit vector encodes to it."""
+STRIP_BYTES = {"none": 8 << 20, "zstd": 1 << 20}
+"""About how large a TIFF's strips are: what is compressed, and must be read, in one go."""
+
+Compression = Literal["none", "zstd"]
+"""Of TIFFs; "zstd" comes with the predictor for the type of the pixels, and loses nothing."""
 
 
 def bands(rows: int, row_bytes: int, multiple: int = 1) -> Iterator[slice]:
@@ -68,50 +74,50 @@ def block_means(array: Array, factor: int) -> Array:
     """
     if factor == 1:
         return np.array(array, np.float32)
+    from nlights_core import compiled_maps
+
     rows, columns = array.shape[0] // factor, array.shape[1] // factor
     out = np.empty((rows, columns, *array.shape[2:]), np.float32)
-    for band in bands(rows * factor, array[:1].nbytes, factor):
-        part = np.asarray(array[band, : columns * factor], np.float32)
-        blocks = part.reshape(-1, factor, columns, factor, *array.shape[2:])
-        known = np.isfinite(blocks)
-        count = known.sum(axis=(1, 3))
-        total = np.sum(blocks, axis=(1, 3), where=known, dtype=np.float64)
-        mean = total / np.maximum(count, 1)
-        out[band.start // factor : band.stop // factor] = np.where(2 * count >= factor**2, mean, np.nan)
+    planes = out.reshape(rows, columns, -1)
+
+    def reduce(band: slice) -> None:
+        part = np.asarray(array[band], np.float32)
+        part = part.reshape(len(part), part.shape[1], -1)
+        compiled_maps.block_means(part, factor, planes[band.start // factor : band.stop // factor])
+
+    deque(in_order(reduce, bands(rows * factor, array[:1].nbytes, factor)), 0)
     return out
 
 
-def srgb(linear: Array) -> Array:
-    """Encode linear light for viewing (IEC 61966-2-1).
+def _layout(
+    shape: tuple[int, ...],
+    dtype: Any,
+    grid: PixelGrid | None,
+    description: str,
+    icc: bytes | None,
+    compression: Compression = "none",
+) -> dict[str, Any]:
+    """What tifffile is told of an image: its type, its strips, its tags."""
+    row_bytes = math.prod(shape[1:]) * np.dtype(dtype).itemsize
+    resolution = (10 / grid.pixel_size,) * 2 if grid is not None and grid.unit == "mm" else None
+    return {
+        "shape": shape,
+        "dtype": np.dtype(dtype),
+        "photometric": "rgb" if len(shape) == 3 else "minisblack",
+        "planarconfig": "contig" if len(shape) == 3 else None,
+        "rowsperstrip": max(1, min(shape[0], STRIP_BYTES[compression] // row_bytes)),
+        "resolution": resolution,
+        "resolutionunit": "CENTIMETER" if resolution else "NONE",
+        "description": description.encode() or None,
+        "software": f"nLights {__version__}",
+        "metadata": None,
+        "iccprofile": icc,
+    }
 
-    Parameters
-    ----------
-    linear : array
-        Linear light; clipped to 0..1, NaN becomes black.
 
-    Returns
-    -------
-    float32 array of the same shape
-        From 0 to 1.
-    """
-    light = np.clip(np.nan_to_num(np.asarray(linear, np.float32), nan=0.0), 0, 1)
-    curve = np.float32(1.055) * light ** np.float32(1 / 2.4) - np.float32(0.055)
-    return np.where(light <= 0.0031308, np.float32(12.92) * light, curve)
-
-
-def srgb_profile() -> bytes:
-    """The sRGB colour profile (ICC), with a fixed creation date so that it never varies.
-
-    Returns
-    -------
-    bytes
-        LittleCMS's own sRGB profile; bytes 24 to 35 of its header hold the date (ICC.1, 7.2).
-    """
-    from PIL import ImageCms
-
-    profile = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
-    date = np.array([2000, 1, 1, 0, 0, 0], ">u2").tobytes()
-    return profile[:24] + date + profile[36:]
+def _is_big(shape: tuple[int, ...], dtype: Any) -> bool:
+    """Whether an image's bytes exceed what a plain TIFF can address."""
+    return bool(math.prod(shape) * np.dtype(dtype).itemsize > 2**32 - 2**20)
 
 
 class BandTiff:
@@ -149,25 +155,8 @@ class BandTiff:
         import tifffile
 
         self._dtype = np.dtype(dtype).newbyteorder("<")
-        pixel = int(np.prod(shape[2:], dtype=int)) * self._dtype.itemsize
-        size = shape[0] * shape[1] * pixel
-        resolution = (10 / grid.pixel_size,) * 2 if grid is not None and grid.unit == "mm" else None
-        with tifffile.TiffWriter(path, bigtiff=size > 2**32 - 2**20, byteorder="<") as file:
-            place = file.write(
-                None,
-                shape=shape,
-                dtype=np.dtype(dtype),
-                photometric="rgb" if len(shape) == 3 else "minisblack",
-                planarconfig="contig" if len(shape) == 3 else None,
-                rowsperstrip=max(1, min(shape[0], (8 << 20) // (shape[1] * pixel))),
-                resolution=resolution,
-                resolutionunit="CENTIMETER" if resolution else "NONE",
-                description=description.encode() or None,
-                software=f"nLights {__version__}",
-                metadata=None,
-                iccprofile=icc,
-                returnoffset=True,
-            )
+        with tifffile.TiffWriter(path, bigtiff=_is_big(shape, dtype), byteorder="<") as file:
+            place = file.write(None, returnoffset=True, **_layout(shape, dtype, grid, description, icc))
         assert place is not None
         self._stream = path.open("r+b")
         self._stream.seek(place[0])
@@ -186,9 +175,15 @@ class BandTiff:
 
 
 def write_tiff(
-    path: str | Path, array: Array, grid: PixelGrid, *, description: str, icc: bytes | None = None
+    path: str | Path,
+    array: Array,
+    grid: PixelGrid,
+    *,
+    description: str,
+    icc: bytes | None = None,
+    compression: Compression = "none",
 ) -> None:
-    """Write a map as an uncompressed TIFF, by bands of rows.
+    """Write a map as a TIFF, by bands of rows.
 
     Where the scale is known the resolution tags say how many pixels cover a centimetre of the
     artwork.  Files of more than 4 GB become BigTIFF.  There is no date.
@@ -205,6 +200,8 @@ def write_tiff(
         What the numbers are: quantity, unit and frame.  Goes to ImageDescription.
     icc : bytes, optional
         Colour profile to embed.
+    compression : {"none", "zstd"}
+        Without loss.
 
     Raises
     ------
@@ -224,61 +221,98 @@ def write_tiff(
             f"{path}: expected {grid.rows} x {grid.columns} pixels of 1 or 3 channels, got {array.shape}"
         )
     shape = grid.shape if depth in ((), (1,)) else (*grid.shape, 3)
-    with BandTiff(Path(path), shape, array.dtype, grid=grid, description=description, icc=icc) as file:
-        for band in bands(grid.rows, array[:1].nbytes):
-            file.write(array[band])
+    rows = (array[band] for band in bands(grid.rows, array[:1].nbytes))
+    write_bands(
+        path, rows, shape, array.dtype, grid, description=description, icc=icc, compression=compression
+    )
 
 
-def write_normals_view(path: str | Path, normals: Array) -> None:
-    """Write normals as colours: 8-bit PNG in the OpenGL convention (+Y up).
-
-    Red, green and blue are ``round(127.5 n + 127.5)`` of x, y and z.  Decode with
-    ``n = v / 127.5 - 1``.  Unknown normals are black (`UNKNOWN_NORMAL`).  For looking at: eight
-    bits resolve 0.45 degrees, so measure in the float32 TIFF.
-
-    Parameters
-    ----------
-    path : str or Path
-        File to write.
-    normals : (H, W, 3) float32 array
-        Unit vectors in the plane frame, NaN where not known.
-
-    Notes
-    -----
-    Pillow wants the whole picture at once: 3 bytes a pixel.
-    """
-    from PIL import Image
-
-    out = np.empty(normals.shape, np.uint8)
-    for band in bands(normals.shape[0], normals[:1].nbytes):
-        part = normals[band]
-        known = np.isfinite(part).all(axis=2, keepdims=True)
-        code = np.rint(np.where(known, part, 0) * np.float32(127.5) + np.float32(127.5))
-        out[band] = np.where(known, np.clip(code, 0, 255), np.array(UNKNOWN_NORMAL, np.float32))
-    Image.fromarray(out).save(path, "PNG", compress_level=3)
-
-
-def write_albedo_view(path: str | Path, albedo: Array, grid: PixelGrid) -> None:
-    """Write the albedo for looking at: 16-bit sRGB TIFF with its colour profile.
+def write_bands(
+    path: str | Path,
+    rows: Iterable[Array],
+    shape: tuple[int, ...],
+    dtype: Any,
+    grid: PixelGrid,
+    *,
+    description: str,
+    icc: bytes | None = None,
+    compression: Compression = "none",
+) -> None:
+    """Write a TIFF as `write_tiff` does, from rows as they are made.
 
     Parameters
     ----------
     path : str or Path
-        File to write.
-    albedo : (H, W), (H, W, 1) or (H, W, 3) float32 array
-        Linear; clipped to 0..1, NaN becomes black.  One channel is written as neutral grey.
-    grid : PixelGrid
-        Where the pixels are.
+        File to write; an existing one is replaced.
+    rows : iterable of arrays
+        From the top of the image to its bottom, any number at a time.
+    shape : tuple of int
+        (H, W) or (H, W, 3).
+    dtype : dtype
+        Of the pixels.
+    grid, description, icc, compression
+        As in `write_tiff`.
 
     Raises
     ------
     OSError
         When the file cannot be written.
     """
-    description = "Albedo for viewing: sRGB (IEC 61966-2-1), clipped to 0..1, black where not known"
-    with BandTiff(
-        Path(path), (*grid.shape, 3), np.uint16, grid=grid, description=description, icc=srgb_profile()
-    ) as file:
-        for band in bands(grid.rows, 3 * albedo[:1].nbytes):
-            code = np.rint(srgb(albedo[band]) * np.float32(65535)).astype(np.uint16)
-            file.write(np.broadcast_to(code.reshape(*code.shape[:2], -1), (*code.shape[:2], 3)))
+    import tifffile
+
+    if compression == "none":
+        with BandTiff(Path(path), shape, dtype, grid=grid, description=description, icc=icc) as file:
+            for part in rows:
+                file.write(part)
+        return
+    layout = _layout(shape, dtype, grid, description, icc, compression)
+    # Whether the compressed bytes will fit a plain TIFF is not known before they are written.
+    with tifffile.TiffWriter(path, bigtiff=_is_big(shape, dtype), byteorder="<") as writer:
+        writer.write(
+            in_order(_packed, _strips(rows, layout["rowsperstrip"], shape, layout["dtype"])),
+            compression=compression,
+            predictor=3 if layout["dtype"].kind == "f" else 2,
+            **layout,
+        )
+
+
+def _packed(strip: Array) -> bytes:
+    """A strip, compressed: each pixel's difference from the one before it first, by TIFF's predictors."""
+    import imagecodecs
+
+    predict = imagecodecs.floatpred_encode if strip.dtype.kind == "f" else imagecodecs.delta_encode
+    pixels = strip.reshape(*strip.shape[:2], -1)
+    return bytes(imagecodecs.zstd_encode(predict(pixels, axis=-2).tobytes(), level=1))
+
+
+def _strips(rows: Iterable[Array], height: int, shape: tuple[int, ...], dtype: Any) -> Iterator[Array]:
+    """The same rows, so many at a time; only the last strip may be lower."""
+    gathered = np.empty((height, *shape[1:]), dtype)
+    filled = 0
+    for part in rows:
+        lines = part.reshape(-1, *shape[1:])
+        while len(lines):
+            taken = min(height - filled, len(lines))
+            gathered[filled : filled + taken] = lines[:taken]
+            lines, filled = lines[taken:], filled + taken
+            if filled == height:
+                yield gathered
+                gathered, filled = np.empty_like(gathered), 0
+    if filled:
+        yield gathered[:filled]
+
+
+def read_tiff(path: str | Path) -> Array:
+    """Open a TIFF that `write_tiff` wrote: a read-only memory map, of a copy where it is compressed.
+
+    Raises
+    ------
+    OSError
+        When the copy finds no room among the temporary files.
+    """
+    import tifffile
+
+    with tifffile.TiffFile(path) as file:
+        if file.pages.first.is_memmappable:
+            return tifffile.memmap(path, mode="r")
+        return np.asarray(file.asarray(out="memmap", maxworkers=cores()))

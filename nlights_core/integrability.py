@@ -10,7 +10,6 @@ from __future__ import annotations
 import numpy as np
 
 from nlights_core.frames import Array, PixelGrid
-from nlights_core.integration import height_steps
 
 HALO = 6
 """Rows beyond a band that its corrections depend on."""
@@ -21,9 +20,6 @@ STEEPEST_DEG = 80.0
 OWN, AROUND = 0.350, 0.207
 """What is left of a pixel's own variance, and of the mean of its 3 x 3 neighbourhood, by Parseval's
 theorem for white noise: in all 0.557."""
-
-_BETWEEN = np.array([3, -25, 150, 150, -25, 3]) / 256
-"""A value midway between the middle two of six samples."""
 
 
 def integrable_normals(
@@ -59,38 +55,25 @@ def integrable_normals(
     Orthogonal projection onto integrable fields: R. T. Frankot, R. Chellappa, IEEE TPAMI 10
     (1988) 439-451, here with the free borders and the masks of the height.
     """
+    from nlights_core import compiled_maps as kernels
+
     first, last = max(start - HALO, 0), min(stop + HALO, grid.rows)
-    around = normals[first:last]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        known = around[..., 2] > np.cos(np.radians(STEEPEST_DEG))
-        scale = np.where(known, grid.pixel_size / around[..., 2], np.nan).astype(np.float64)
-    across, down = -around[..., 0] * scale, around[..., 1] * scale
-    surface = np.asarray(height[first:last], np.float64)
-    x = y = np.zeros(1)
+    around, surface = normals[first:last], height[first:last]
+    rows, columns, margin = last - first, grid.columns, kernels.BEFORE + kernels.AFTER
+    x, y, distance = np.zeros(columns), np.zeros(rows), 0.0
     if perspective and grid.camera is not None:
-        camera = grid.camera
-        x = (grid.x() - camera[0]) / (grid.pixel_size * camera[2])
-        y = (grid.y(first, last) - camera[1])[:, None] / (grid.pixel_size * camera[2])
-        facing = 1 + across * x - down * y
-        across, down = across / facing, down / facing
-        surface = -camera[2] * np.log1p(-surface / camera[2])
-    across = across - _curl(across, surface)
-    down = down - _curl(down.T, surface.T).T
-    facing = 1 - across * x + down * y
-    band = slice(start - first, stop - first)
-    corrected = np.stack([-across, down, grid.pixel_size * facing], axis=-1)[band]
-    corrected /= np.linalg.norm(corrected, axis=-1, keepdims=True)
-    return np.where(known[band, :, None], corrected, around[band]).astype(np.float32)
-
-
-def _curl(slopes: Array, height: Array) -> Array:
-    """What slopes along lines say beyond the height's own steps, at the pixels, (n, N)."""
-    missed = height_steps(slopes, "6-point") - np.diff(height, axis=1)
-    reach = len(_BETWEEN) // 2
-    # No step crosses a border, and none of the surplus does.
-    padded = np.pad(np.nan_to_num(missed), ((0, 0), (reach, reach)))
-    count = slopes.shape[1]
-    return np.asarray(sum(w * padded[:, k : k + count] for k, w in enumerate(_BETWEEN)))
+        distance = float(grid.camera[2])
+        x = (grid.x() - grid.camera[0]) / distance
+        y = (grid.y(first, last) - grid.camera[1]) / distance
+    across, beside = (np.empty((rows, columns + margin), np.float32) for _ in range(2))
+    down, below = (np.empty((rows + margin, columns), np.float32) for _ in range(2))
+    cosine = float(np.cos(np.radians(STEEPEST_DEG)))
+    kernels.slopes(around, grid.pixel_size, cosine, x, y, across, down)
+    kernels.surplus(across, surface, distance, 0, beside)
+    kernels.surplus(down, surface, distance, 1, below)
+    out = np.empty((stop - start, columns, 3), np.float32)
+    kernels.corrected(around, across, down, beside, below, grid.pixel_size, x, y, out, start - first)
+    return out
 
 
 def integrable_uncertainty(confidence: Array, start: int, stop: int) -> Array:
@@ -107,13 +90,9 @@ def integrable_uncertainty(confidence: Array, start: int, stop: int) -> Array:
     -------
     (stop - start, W) float32 array
     """
-    from scipy.ndimage import uniform_filter
+    from nlights_core import compiled_maps
 
     first, last = max(start - 1, 0), min(stop + 1, len(confidence))
-    variance = np.square(confidence[first:last], dtype=np.float64)
-    known = np.isfinite(variance)
-    total = uniform_filter(np.where(known, variance, 0), 3, mode="nearest")
-    share = uniform_filter(known.astype(np.float64), 3, mode="nearest")
-    left = OWN * variance + AROUND * total / np.maximum(share, 1 / 9)
-    out: Array = np.sqrt(left[start - first : stop - first]).astype(np.float32)
+    out = np.empty((stop - start, confidence.shape[1]), np.float32)
+    compiled_maps.smoothed_uncertainty(confidence[first:last], start - first, OWN, AROUND, out)
     return out

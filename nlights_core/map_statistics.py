@@ -11,11 +11,14 @@ from typing import Any
 
 import numpy as np
 
+from nlights_core.band_threads import in_order
 from nlights_core.export import bands
-from nlights_core.fields import NormalField
 from nlights_core.frames import Array, PixelGrid
 
 SAMPLE = 2_000_000
+
+STEEPEST = float(np.tan(np.radians(70)))
+"""Slopes are limited to this, as in `NormalField.gradient`."""
 
 
 def mean_of(array: Array, of: Callable[[Array], Any] | None = None) -> float | None:
@@ -34,12 +37,24 @@ def mean_of(array: Array, of: Callable[[Array], Any] | None = None) -> float | N
         None where nothing is known.
     """
     total, count = 0.0, 0
-    for band in bands(array.shape[0], array[:1].nbytes):
-        values = np.asarray(array[band] if of is None else of(array[band]))
-        known = np.isfinite(values)
-        total += float(np.sum(values, where=known, dtype=np.float64))
-        count += int(known.sum())
+    places = bands(array.shape[0], array[:1].nbytes)
+    for part, known in in_order(lambda band: _sum(_values(array, band, of)), places):
+        total, count = total + part, count + known
     return total / count if count else None
+
+
+def _values(array: Array, band: slice, of: Callable[[Array], Any] | None) -> Array:
+    """A band, or what is computed from it."""
+    return np.asarray(array[band] if of is None else of(array[band]))
+
+
+def _sum(values: Array) -> tuple[float, int]:
+    """Sum, in float64, and number of the known ones."""
+    from nlights_core import compiled_maps
+
+    if values.dtype.kind != "f":
+        return float(values.sum(dtype=np.float64)), values.size
+    return compiled_maps.sum_of_known(np.ascontiguousarray(values).reshape(-1))
 
 
 def extremes(array: Array, of: Callable[[Array], Any] | None = None) -> tuple[float, float] | None:
@@ -57,12 +72,17 @@ def extremes(array: Array, of: Callable[[Array], Any] | None = None) -> tuple[fl
     (low, high) or None
         None where nothing is known.
     """
-    low, high = np.inf, -np.inf
-    for band in bands(array.shape[0], array[:1].nbytes):
-        values = np.asarray(array[band] if of is None else of(array[band]))
+
+    def ends(band: slice) -> tuple[float, float]:
+        values = _values(array, band, of)
         known = np.isfinite(values)
-        low = min(low, float(np.min(values, where=known, initial=np.inf)))
-        high = max(high, float(np.max(values, where=known, initial=-np.inf)))
+        return (
+            float(np.min(values, where=known, initial=np.inf)),
+            float(np.max(values, where=known, initial=-np.inf)),
+        )
+
+    found = list(in_order(ends, bands(array.shape[0], array[:1].nbytes)))
+    low, high = min(pair[0] for pair in found), max(pair[1] for pair in found)
     return (low, high) if low <= high else None
 
 
@@ -109,15 +129,14 @@ def misclosure(normals: Array, grid: PixelGrid) -> float | None:
     float or None
         Root mean square of m in the grid's unit; None where no 2 x 2 pixels are known.
     """
-    total, count = 0.0, 0
-    for band in bands(grid.rows, 3 * normals[:1].nbytes):
-        p, q = NormalField(normals[band.start : band.stop + 1], grid).gradient()
-        across, down = p[:, :-1] + p[:, 1:], q[:-1] + q[1:]
-        m = (across[:-1] - across[1:] + down[:, 1:] - down[:, :-1]).astype(np.float64) / 2
-        known = np.isfinite(m)
-        total += float(np.sum(m**2, where=known))
-        count += int(known.sum())
-    return float(np.sqrt(total / count)) if count else None
+    from nlights_core import compiled_maps
+
+    def squares(band: slice) -> tuple[float, int]:
+        return compiled_maps.misclosure(normals[band.start : band.stop + 1], STEEPEST)
+
+    found = list(in_order(squares, bands(grid.rows, normals[:1].nbytes)))
+    count = sum(known for _, known in found)
+    return float(grid.pixel_size * np.sqrt(sum(total for total, _ in found) / count)) if count else None
 
 
 def best_plane(height: Array, grid: PixelGrid) -> tuple[float, float, float] | None:
@@ -136,18 +155,19 @@ def best_plane(height: Array, grid: PixelGrid) -> tuple[float, float, float] | N
         Slopes (dimensionless) and offset (the grid's unit); None where fewer than three pixels
         that are not on a line are known.
     """
-    matrix, right = np.zeros((3, 3)), np.zeros(3)
+    from nlights_core import compiled_maps
+
     x = grid.x()
-    for band in bands(grid.rows, 8 * height[:1].nbytes):
-        z = np.asarray(height[band], np.float64)
-        known = np.isfinite(z)
-        weight, z = known.astype(np.float64), np.where(known, z, 0)
-        y = grid.y(band.start, band.stop)
-        columns, rows = weight.sum(axis=0), weight.sum(axis=1)
-        xx, xy, yy = columns @ x**2, y @ weight @ x, rows @ y**2
-        sx, sy, n = columns @ x, rows @ y, rows.sum()
-        matrix += np.array([[xx, xy, sx], [xy, yy, sy], [sx, sy, n]])
-        right += np.array([z.sum(axis=0) @ x, z.sum(axis=1) @ y, z.sum()])
+
+    def sums(band: slice) -> tuple[Array, Array]:
+        part = np.empty((3, 3)), np.empty(3)
+        compiled_maps.plane_sums(height[band], x, grid.y(band.start, band.stop), *part)
+        return part
+
+    matrix, right = np.zeros((3, 3)), np.zeros(3)
+    for products, heights in in_order(sums, bands(grid.rows, height[:1].nbytes)):
+        matrix += products
+        right += heights
     if np.linalg.matrix_rank(matrix / np.max(np.abs(matrix), initial=1.0)) < 3:
         return None
     a, b, c = np.linalg.solve(matrix, right)

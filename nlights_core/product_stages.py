@@ -8,6 +8,7 @@ from typing import Any
 from nlights_core import products
 from nlights_core.arrays import read_array
 from nlights_core.capture import Tile
+from nlights_core.export import Compression
 from nlights_core.store import ArtefactRef, Progress, Store, Work, describe
 from nlights_core.surveys import grid_of, survey
 
@@ -21,16 +22,19 @@ def maps(
     trend: ArtefactRef | None,
     integrated: ArtefactRef | None = None,
     perspective: bool = False,
+    compression: Compression = "none",
 ) -> Work:
     """Products that are images: normals, albedo, reflection, height, confidence, trend.
 
     ``white`` is the photographed plate, which makes the albedo absolute, where there is one.
     ``integrated`` is the height of these normals before anything was done to it, where they shall
     be made integrable with it, and ``perspective`` says whether its integrator followed the rays
-    of the camera.
+    of the camera.  ``compression`` is that of the TIFFs, "none" or "zstd".
     """
     inputs = {"normals": normals, "height": height, "trend": trend, "integrated": integrated}
-    facts = {"white_reflectance": tile.white_reflectance if white else None, "perspective": perspective}
+    facts: dict[str, Any] = {"white_reflectance": tile.white_reflectance if white else None, "perspective": perspective}
+    if compression != "none":
+        facts["compression"] = compression
     ref, record = describe("maps", tile.artwork, tile.name, inputs=inputs, facts=facts)
 
     def make(folder: Path, progress: Progress) -> None:
@@ -44,6 +48,7 @@ def maps(
             progress=progress,
             integrated=read_array(store.path(integrated) / "height.npy") if integrated else None,
             perspective=perspective,
+            compression=compression,
         )
 
     return Work(ref, record, make)

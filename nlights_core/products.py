@@ -3,28 +3,35 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from nlights_core import __version__, export, meshes, quality
+from nlights_core import __version__, export, quality
 from nlights_core.agreement import read_agreement
-from nlights_core.arrays import BandWriter, read_array
+from nlights_core.arrays import read_array
+from nlights_core.band_threads import in_order
 from nlights_core.capture import Tile
 from nlights_core.emission import read_flat_check
 from nlights_core.errors import TileError
+from nlights_core.export import Compression
 from nlights_core.fields import LightField
 from nlights_core.figures import NOT_IN_RECIPE, NOT_MEASURED
 from nlights_core.frames import Array, PixelGrid
 from nlights_core.integrability import integrable_normals, integrable_uncertainty
 from nlights_core.levelling import read_level
 from nlights_core.map_statistics import sampled
+from nlights_core.meshes import write_glb
+from nlights_core.pixel_meshes import write_ply
 from nlights_core.plates import read_plate
 from nlights_core.position_uncertainty import position_uncertainty
 from nlights_core.store import RECORD, ArtefactRef, Progress, Store
+from nlights_core.viewing import NormalsView, write_albedo_view
 
 FRAME = "plane frame: x right, y up, z from the artwork to the camera; NaN where not known"
 
@@ -78,6 +85,7 @@ def write_maps(
     progress: Progress,
     integrated: Array | None = None,
     perspective: bool = False,
+    compression: Compression = "none",
 ) -> None:
     """Write every product that is an image.
 
@@ -99,6 +107,8 @@ def write_maps(
         The height that was integrated from the normals, which then are made integrable.
     perspective : bool
         Whether that height was integrated along the rays of the camera.
+    compression : {"none", "zstd"}
+        Of the TIFFs, without loss.
 
     Raises
     ------
@@ -107,88 +117,108 @@ def write_maps(
     OSError
         When the disk is full.
     """
-    scale = np.float32(1.0 if white is None else white)
-    said = (
-        f"linear, 1 is a perfect diffuser (white reference of reflectance {white:g})"
-        if white is not None
-        else "linear, relative (there was no white reference)"
-    )
-    bytes_per_row = maps["albedo"][:1].nbytes
-    with (
-        BandWriter(folder / ".albedo.npy", maps["albedo"].shape) as albedo,
-        BandWriter(folder / ".reflection.npy", maps["albedo"].shape) as reflection,
-    ):
-        known = False
-        for band in export.bands(grid.rows, bytes_per_row):
-            part = scale * maps["albedo"][band]
-            known = known or bool(np.isfinite(part).any())
-            albedo.write(part)
-            reflection.write(scale * maps["apparent"][band] - part)
-    if not known:
+    places = list(export.bands(grid.rows, maps["normals"][:1].nbytes))
+    if not any(np.isfinite(maps["albedo"][band]).any() for band in places):
         raise TileError(
             "normals: not a single pixel has three usable lights; see the mask, the saturation level and "
             "the frames themselves"
         )
-    progress(0.3)
-    albedo_map, reflection_map = (read_array(folder / f".{n}.npy") for n in ("albedo", "reflection"))
-
-    def tiff(name: str, array: Array, what: str, profile: bytes | None = None) -> None:
-        export.write_tiff(folder / name, array, grid, description=what, icc=profile)
-
-    _write_normals(folder, maps, grid, integrated, perspective)
-    tiff("albedo.tif", albedo_map, f"Albedo; {said}; NaN where not known", icc)
-    export.write_albedo_view(folder / "albedo_view.tif", _viewable(albedo_map, white), grid)
+    tiff = partial(export.write_bands, dtype=np.float32, grid=grid, compression=compression)
+    with NormalsView(folder / "normals_opengl.png", *grid.shape) as view:
+        tiff(
+            folder / "normals.tif",
+            _normals(maps["normals"], grid, integrated, perspective, places, view),
+            (*grid.shape, 3),
+            description=f"Unit normals x, y, z; {FRAME}",
+        )
+    progress(0.4)
     tiff(
-        "reflection.tif",
-        reflection_map,
-        f"Apparent colour (mean over the lamps) minus albedo; {said}; signed",
-        icc,
+        folder / "confidence.tif",
+        _uncertainty(maps["confidence"], integrated, places),
+        grid.shape,
+        description="Standard uncertainty of the normal, degrees: 68 % of all normals are off by no more; NaN "
+        "where not known",
     )
-    progress(0.7)
-    tiff("height.tif", maps["height"], f"Height in {grid.unit}, its constant free; {FRAME}")
+    _write_colours(folder, maps["albedo"], maps["apparent"], grid, white, icc, compression)
+    progress(0.9)
+    said = {"height": f"Height in {grid.unit}, its constant free; {FRAME}"}
     if "trend" in maps:
-        tiff("trend.tif", maps["trend"], f"Trend removed from the height, {grid.unit}")
-    for name in ("albedo", "reflection"):
-        (folder / f".{name}.npy").unlink()
+        said["trend"] = f"Trend removed from the height, {grid.unit}"
+    for name, description in said.items():
+        rows = (np.asarray(maps[name][band]) for band in places)
+        tiff(folder / f"{name}.tif", rows, grid.shape, description=description)
     progress(1.0)
 
 
-def _write_normals(
-    folder: Path, maps: Mapping[str, Array], grid: PixelGrid, integrated: Array | None, perspective: bool
+def _write_colours(
+    folder: Path,
+    albedo: Array,
+    apparent: Array,
+    grid: PixelGrid,
+    white: float | None,
+    icc: bytes | None,
+    compression: Compression,
 ) -> None:
-    """Write the normals, a view of them, and their uncertainty."""
-    import tifffile
-
-    normals, confidence = maps["normals"], maps["confidence"]
-    what = (
-        f"Unit normals x, y, z; {FRAME}",
-        "Standard uncertainty of the normal, degrees: 68 % of all normals are off by no more; NaN where not "
-        "known",
-    )
-    path = folder / "normals.tif"
-    with (
-        export.BandTiff(path, normals.shape, "float32", grid=grid, description=what[0]) as vectors,
-        export.BandTiff(
-            folder / "confidence.tif", grid.shape, "float32", grid=grid, description=what[1]
-        ) as angles,
-    ):
-        for band in export.bands(grid.rows, 4 * normals[:1].nbytes):
-            if integrated is None:
-                vectors.write(normals[band])
-                angles.write(confidence[band])
-                continue
-            rows = (band.start, min(band.stop, grid.rows))
-            vectors.write(integrable_normals(normals, integrated, grid, *rows, perspective=perspective))
-            angles.write(integrable_uncertainty(confidence, *rows))
-    export.write_normals_view(folder / "normals_opengl.png", tifffile.memmap(path, mode="r"))
-
-
-def _viewable(albedo: Array, white: float | None) -> Array:
-    """Albedo for viewing: as it is where it is absolute, else its brightest set to 0.9."""
+    """Write the albedo, a view of it, and the reflection map."""
+    said = "linear, relative (there was no white reference)"
+    scale, exposure = np.float32(1), 1.0
     if white is not None:
-        return albedo
-    bright = float(np.nanpercentile(sampled(albedo), 99.5))
-    return np.asarray(albedo * np.float32(0.9 / bright)) if bright > 0 else albedo
+        said = f"linear, 1 is a perfect diffuser (white reference of reflectance {white:g})"
+        scale, exposure = np.float32(white), float(white)
+    elif (values := sampled(albedo)).size and (bright := float(np.percentile(values, 99.5))) > 0:
+        exposure = 0.9 / bright
+
+    def reflection(band: slice) -> Array:
+        part: Array = scale * apparent[band]
+        part -= scale * albedo[band]
+        return part
+
+    places = list(export.bands(grid.rows, albedo[:1].nbytes))
+    shape = (*grid.shape, 3) if albedo.shape[2:] == (3,) else grid.shape
+    tiff = partial(
+        export.write_bands, shape=shape, dtype=np.float32, grid=grid, icc=icc, compression=compression
+    )
+    tiff(
+        folder / "albedo.tif",
+        in_order(lambda band: scale * albedo[band], places),
+        description=f"Albedo; {said}; NaN where not known",
+    )
+    write_albedo_view(folder / "albedo_view.tif", albedo, grid, exposure, compression)
+    tiff(
+        folder / "reflection.tif",
+        in_order(reflection, places),
+        description=f"Apparent colour (mean over the lamps) minus albedo; {said}; signed",
+    )
+
+
+def _normals(
+    normals: Array,
+    grid: PixelGrid,
+    integrated: Array | None,
+    perspective: bool,
+    places: Sequence[slice],
+    view: NormalsView,
+) -> Iterator[Array]:
+    """The normals to be written, band by band; each is added to the view on its way."""
+
+    def made(band: slice) -> tuple[Array, tuple[Array, bytes]]:
+        part = np.asarray(normals[band])
+        if integrated is not None:
+            part = integrable_normals(
+                normals, integrated, grid, band.start, band.stop, perspective=perspective
+            )
+        return part, view.part(part)
+
+    for part, picture in in_order(made, places):
+        view.write(picture)
+        yield part
+
+
+def _uncertainty(confidence: Array, integrated: Array | None, places: Sequence[slice]) -> Iterator[Array]:
+    """The uncertainty of the normals to be written, band by band."""
+    if integrated is None:
+        return (np.asarray(confidence[band]) for band in places)
+    return in_order(lambda band: integrable_uncertainty(confidence, band.start, band.stop), places)
 
 
 def write_meshes(folder: Path, height: Array, maps: Path, grid: PixelGrid, progress: Progress) -> None:
@@ -199,19 +229,20 @@ def write_meshes(folder: Path, height: Array, maps: Path, grid: PixelGrid, progr
     TileError
         When no pixels lie together, so that there is no surface.
     """
-    import tifffile
-
-    albedo = tifffile.memmap(maps / "albedo.tif", mode="r")
-    vertices, faces = meshes.write_ply(
-        folder / "mesh.ply", height, albedo, grid, lambda share: progress(0.6 * share)
-    )
-    try:
-        light = meshes.write_glb(folder / "mesh.glb", height, albedo, grid)
-    except ValueError:
-        raise TileError(
-            "mesh: no 2 x 2 pixels of the height are known, so there is no surface; see the mask, and the "
-            "lights used in the store's normals"
-        ) from None
+    albedo = export.read_tiff(maps / "albedo.tif")
+    # The light mesh keeps one core busy and the other file mostly the disk, so they are made together.
+    with ThreadPoolExecutor(1) as beside:
+        decimated = beside.submit(write_glb, folder / "mesh.glb", height, albedo, grid)
+        vertices, faces = write_ply(
+            folder / "mesh.ply", height, albedo, grid, lambda share: progress(0.9 * share)
+        )
+        try:
+            light = decimated.result()
+        except ValueError:
+            raise TileError(
+                "mesh: no 2 x 2 pixels of the height are known, so there is no surface; see the mask, and the "
+                "lights used in the store's normals"
+            ) from None
     summary = {"ply": {"vertices": vertices, "faces": faces}, "glb": light}
     (folder / "mesh.json").write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
 
@@ -225,8 +256,6 @@ def write_report(
     grid: PixelGrid,
 ) -> None:
     """Write ``report.html``, ``quality.json`` and ``provenance.json``."""
-    import tifffile
-
     from nlights_core.report import write_report as write_html
 
     made = {name: store.path(ref) for name, ref in refs.items() if ref is not None}
@@ -236,7 +265,7 @@ def write_report(
     maps = open_maps(store, normals, height, refs["trend"])
     maps["measured"] = maps["normals"]
     for name in ("albedo", "reflection", "normals", "confidence"):
-        maps[name] = tifffile.memmap(made["maps"] / f"{name}.tif", mode="r")
+        maps[name] = export.read_tiff(made["maps"] / f"{name}.tif")
     if "plate" in made:
         maps["plate"] = read_plate(made["plate"]).inside(grid)
     if "bias" in made:

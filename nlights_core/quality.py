@@ -133,7 +133,7 @@ def _lights(maps: Mapping[str, Array]) -> list[Number]:
     used, normals = maps.get("used"), maps.get("normals")
     stacks = [len(maps[name]) for name in ("plate", "frames") if name in maps]
     lamps = stacks[0] if stacks else int(used.max()) if used is not None and used.size else 0
-    known = _share(normals, lambda n: np.isfinite(n).all(axis=-1))
+    known = _share(normals, lambda n: np.isfinite(n[..., 0] + n[..., 1] + n[..., 2]))
     every = _share(used, lambda u: u >= lamps) if lamps else None
     return [
         Number(group, "Known share", known, "% of pixels", "Where the surface could be measured at all."),

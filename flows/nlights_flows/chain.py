@@ -13,7 +13,9 @@ Call = Callable[..., ArtefactRef]
 Prefect task differ in nothing else."""
 
 
-def digitise_tile(tile: Tile, recipe: Recipe, call: Call) -> dict[str, ArtefactRef]:
+def digitise_tile(
+    tile: Tile, recipe: Recipe, call: Call, compression: str = "none"
+) -> dict[str, ArtefactRef]:
     """Photographs of a tile become albedo, normals, height, reflection map and mesh.
 
     Parameters
@@ -24,6 +26,8 @@ def digitise_tile(tile: Tile, recipe: Recipe, call: Call) -> dict[str, ArtefactR
         With which algorithms.
     call : callable
         How to call a stage.
+    compression : str
+        Of the TIFFs among the products, "none" or "zstd".
 
     Returns
     -------
@@ -52,8 +56,9 @@ def digitise_tile(tile: Tile, recipe: Recipe, call: Call) -> dict[str, ArtefactR
 
     # Only a photographed plate knows what white is.
     white = plate if detrend.images and "flats" in detrend.images.needs else None
-    made_with = (integrated, getattr(recipe.integrator, "perspective", False)) if recipe.integrable else ()
-    maps = call(stages.maps, tile, normals, height, white, trend, *made_with)
+    perspective = recipe.integrable and getattr(recipe.integrator, "perspective", False)
+    surface = integrated if recipe.integrable else None
+    maps = call(stages.maps, tile, normals, height, white, trend, surface, perspective, compression)
     mesh = call(stages.mesh, tile, maps, height)
     record = recipe_record(recipe)
     report = call(stages.report, tile, record, lights, plate, bias, normals, height, trend, maps, mesh)

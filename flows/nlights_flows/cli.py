@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -13,6 +14,14 @@ from nlights_core import __version__
 from nlights_core.errors import NlightsError
 
 INTERRUPTED = 130
+
+
+class Compression(StrEnum):
+    """How the TIFFs among the products are compressed."""
+
+    NONE = "none"
+    ZSTD = "zstd"
+
 
 app = typer.Typer(
     name="nlights",
@@ -192,6 +201,9 @@ def digitise(
             help="Run as a Prefect flow; implied where a Prefect API is configured (PREFECT_API_URL).",
         ),
     ] = False,
+    compression: Annotated[
+        Compression, typer.Option(help="Of the TIFFs: zstd takes less space and more time than the physics.")
+    ] = Compression.NONE,
     memory: Annotated[
         str | None,
         typer.Option(
@@ -226,6 +238,7 @@ def digitise(
             stand=stand,
             root=str(root) if root else None,
             tiles=tile,
+            compression=compression.value,
             return_state=True,
         )
         outcomes = state.data if isinstance(state.data, list) else state.result(raise_on_failure=False)
@@ -235,7 +248,7 @@ def digitise(
         outcomes = []
         with console.TileProgress(chosen, tiles) as watch:
             for one in tiles:
-                outcomes.append(run_directly(one, chosen, kept, out, watch))
+                outcomes.append(run_directly(one, chosen, kept, out, watch, compression.value))
                 watch.tile_done(outcomes[-1])
     console.show_outcomes(outcomes)
     raise typer.Exit(exit_code(outcomes))

@@ -67,6 +67,7 @@ def digitise(
     stand: str | None = None,
     root: str | None = None,
     tiles: list[str] | None = None,
+    compression: str = "none",
 ) -> Any:
     """Digitise the tiles of an artwork.
 
@@ -86,6 +87,8 @@ def digitise(
         Capture root; the manifest's folder by default.
     tiles : list of str, optional
         Only these tiles.
+    compression : str
+        Of the TIFFs among the products, "none" or "zstd".
 
     Returns
     -------
@@ -102,7 +105,7 @@ def digitise(
     for tile in found:
         if tiles and tile.name not in tiles:
             continue
-        outcome = _run_tile(tile, chosen, kept, Path(out))
+        outcome = _run_tile(tile, chosen, kept, Path(out), compression)
         outcomes.append(outcome)
         if outcome.state == "failed":
             logger.error("%s: %s", tile.name, outcome.message)
@@ -114,7 +117,7 @@ def digitise(
     return Completed(message=message, data=outcomes)
 
 
-def _run_tile(tile: Tile, recipe: Any, store: Store, out: Path) -> Outcome:
+def _run_tile(tile: Tile, recipe: Any, store: Store, out: Path, compression: str) -> Outcome:
     """Run a tile's stages as tasks; a tile's fault is its own."""
     started = time.monotonic()
     made: list[str] = []
@@ -127,7 +130,7 @@ def _run_tile(tile: Tile, recipe: Any, store: Store, out: Path) -> Outcome:
         return state.result()  # type: ignore[no-any-return]
 
     try:
-        folder = run_tile(tile, recipe, store, out, call)
+        folder = run_tile(tile, recipe, store, out, call, compression)
     except (Exception, SystemExit) as fault:  # a plugin may even call sys.exit
         message = explained(fault, store)
         return Outcome(tile.artwork, tile.name, "failed", None, message, time.monotonic() - started)

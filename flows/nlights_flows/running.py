@@ -58,7 +58,14 @@ def exit_code(outcomes: Iterable[Outcome]) -> int:
     return 2 if all(states) else 1
 
 
-def run_tile(tile: Tile, recipe: Recipe, store: Store, out: Path, call: Callable[..., Any]) -> Path:
+def run_tile(
+    tile: Tile,
+    recipe: Recipe,
+    store: Store,
+    out: Path,
+    call: Callable[..., Any],
+    compression: str = "none",
+) -> Path:
     """Run the chain for a tile and publish its products.
 
     Parameters
@@ -71,6 +78,8 @@ def run_tile(tile: Tile, recipe: Recipe, store: Store, out: Path, call: Callable
         Where products go.
     call : callable
         How to call a stage.
+    compression : str
+        Of the TIFFs among the products, "none" or "zstd".
 
     Returns
     -------
@@ -78,7 +87,7 @@ def run_tile(tile: Tile, recipe: Recipe, store: Store, out: Path, call: Callable
         The folder of the products.
     """
     require_memory(tile, recipe)
-    return publish(store, tile, digitise_tile(tile, recipe, call), out)
+    return publish(store, tile, digitise_tile(tile, recipe, call, compression), out)
 
 
 def require_memory(tile: Tile, recipe: Recipe) -> None:
@@ -96,7 +105,9 @@ def require_memory(tile: Tile, recipe: Recipe) -> None:
     require(need, f"{tile.artwork}/{tile.name}: integrator: {recipe.integrator.name}")
 
 
-def run_directly(tile: Tile, recipe: Recipe, store: Store, out: Path, watch: Watch) -> Outcome:
+def run_directly(
+    tile: Tile, recipe: Recipe, store: Store, out: Path, watch: Watch, compression: str = "none"
+) -> Outcome:
     """Run a tile by calling its stages in this process; never raises for what concerns the tile only."""
     started = time.monotonic()
     made: list[str] = []
@@ -111,7 +122,7 @@ def run_directly(tile: Tile, recipe: Recipe, store: Store, out: Path, watch: Wat
         return work.ref  # type: ignore[no-any-return]
 
     try:
-        folder = run_tile(tile, recipe, store, out, call)
+        folder = run_tile(tile, recipe, store, out, call, compression)
     except (Exception, SystemExit) as fault:  # a plugin may even call sys.exit
         return Outcome(
             tile.artwork, tile.name, "failed", None, explained(fault, store), time.monotonic() - started

@@ -10,15 +10,16 @@ import tifffile
 from PIL import Image, ImageCms
 
 from nlights_core import export
-from nlights_core.export import (
-    block_means,
+from nlights_core.export import block_means, read_tiff, write_tiff
+from nlights_core.frames import PixelGrid
+from nlights_core.viewing import (
+    UNKNOWN_NORMAL,
     srgb,
+    srgb_codes,
     srgb_profile,
     write_albedo_view,
     write_normals_view,
-    write_tiff,
 )
-from nlights_core.frames import PixelGrid
 
 GRID = PixelGrid(37, 53, 0.25)
 
@@ -101,6 +102,32 @@ def test_a_float64_array_and_a_foreign_shape_are_refused(tmp_path):
     assert not (tmp_path / "a.tif").exists()
 
 
+@pytest.mark.parametrize("dtype", [np.float32, np.uint16, np.uint8])
+@pytest.mark.parametrize("depth", [(), (3,)])
+def test_a_compressed_tiff_loses_nothing(tmp_path, rng, monkeypatch, dtype, depth):
+    monkeypatch.setitem(export.STRIP_BYTES, "zstd", 1000)
+    monkeypatch.setattr(export, "BAND_BYTES", 1700)
+    array = (rng.random((37, 53, *depth)) * 200).astype(dtype)
+    if dtype == np.float32:
+        array[3, 4] = np.nan
+    for name in "ab":
+        write_tiff(tmp_path / f"{name}.tif", array, GRID, description="height, mm", compression="zstd")
+    with tifffile.TiffFile(tmp_path / "a.tif") as file:
+        assert file.pages[0].compression == tifffile.COMPRESSION.ZSTD
+        assert file.pages[0].tags["ImageDescription"].value == "height, mm"
+        assert len(file.pages[0].dataoffsets) > 1
+    for read in (tifffile.imread, read_tiff):
+        np.testing.assert_array_equal(read(tmp_path / "a.tif"), array)
+    assert (tmp_path / "a.tif").read_bytes() == (tmp_path / "b.tif").read_bytes()
+
+
+def test_a_smooth_map_shrinks_when_it_is_compressed(tmp_path):
+    grid = PixelGrid(300, 400, 0.1)
+    bowl = (np.add.outer(grid.y() ** 2, grid.x() ** 2) / 100).astype(np.float32)
+    write_tiff(tmp_path / "a.tif", bowl, grid, description="", compression="zstd")
+    assert (tmp_path / "a.tif").stat().st_size < 0.7 * bowl.nbytes
+
+
 def test_a_full_disk_raises_an_os_error(tmp_path):
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, hard))
@@ -123,7 +150,7 @@ def test_normals_are_encoded_in_the_opengl_convention(tmp_path):
         seen = np.asarray(image)[0].tolist()
     assert seen[:3] == [[128, 128, 255], [255, 128, 128], [128, 255, 128]]  # +y, up, is green
     assert seen[3] == [128, 0, 128]
-    assert seen[4] == list(export.UNKNOWN_NORMAL)
+    assert seen[4] == list(UNKNOWN_NORMAL)
 
 
 def test_the_view_of_normals_decodes_to_within_half_a_step(tmp_path, rng):
@@ -133,6 +160,29 @@ def test_the_view_of_normals_decodes_to_within_half_a_step(tmp_path, rng):
     with Image.open(tmp_path / "n.png") as image:
         decoded = np.asarray(image) / 127.5 - 1
     assert np.abs(decoded - normals).max() <= 0.5 / 127.5 + 1e-6
+
+
+def test_the_view_of_normals_is_the_same_however_the_bands_fall(tmp_path, rng, monkeypatch):
+    normals = rng.normal(size=(20, 30, 3)).astype(np.float32)
+    seen = []
+    for size in (1, 2000, 1 << 20):
+        monkeypatch.setattr(export, "BAND_BYTES", size)
+        write_normals_view(tmp_path / "n.png", normals)
+        with Image.open(tmp_path / "n.png") as image:
+            seen.append(np.asarray(image.convert("RGB")))
+    np.testing.assert_array_equal(seen[0], seen[1])
+    np.testing.assert_array_equal(seen[0], seen[2])
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_codes_are_the_srgb_curve_rounded(dtype):
+    linear = np.concatenate([np.geomspace(1e-6, 1, 100_000), [0, 0.0031308]]).astype(np.float32)
+    light = linear.astype(np.float64)
+    curve = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+    most = np.iinfo(dtype).max
+    assert np.abs(srgb_codes(linear, dtype) - most * curve).max() < 0.52
+    outside = np.array([-np.inf, -1, -0.0, np.nan, 1, 1.5, np.inf], np.float32)
+    assert srgb_codes(outside, dtype).tolist() == [0, 0, 0, 0, most, most, most]
 
 
 def test_the_view_of_the_albedo_is_srgb_with_a_profile(tmp_path):

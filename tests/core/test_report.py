@@ -64,7 +64,15 @@ def tile(rows=48, columns=64, channels=3, known=1.0, unit="mm"):
         "version": "0.1.0",
         "files": [{"name": "height.tif", "bytes": 407_560_000, "what": "height, mm"}],
         "key": "ab12" * 16,
-        "mesh": {"glb": {"faces": 4000, "vertices": 2100, "largest_deviation_mm": 0.0123, "covered": 0.999}},
+        "mesh": {
+            "glb": {
+                "faces": 4000,
+                "vertices": 2100,
+                "largest_deviation_mm": 0.0123,
+                "rms_deviation_mm": 0.0021,
+                "covered": 0.999,
+            }
+        },
     }
     return record, maps, grid
 
@@ -216,7 +224,7 @@ def test_header_states_artwork_tile_scale_frame_and_provenance(tmp_path):
         "horizontal, positions known to ± 2.5 mm",
         "uncertainty (positions known to ± 2.5 mm)",
         "The decimated mesh (mesh.glb)",
-        "at most 12.3 µm and covers 99.9 % of it",
+        "at most 12.3 µm (2.10 µm rms), and covers 99.9 % of the known pixels",
     ):
         assert fact in words, fact
 
