@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -187,10 +187,19 @@ class Darkroom:
                 images[i] -= dark
             exposure = self.exposures.setdefault(lamp, Exposure())
             exposure.add(grey(images[i])[inside], saturated[i][inside])
-        step = max(1, self.grid.columns // VIEW_COLUMNS)
-        self._views.append(images[:, -start % step :: step, ::step].copy())
+        step = self.view_step
+        self.add_view(images[:, -start % step :: step, ::step].copy())
         images /= lights.power.astype(np.float32)[:, None, None, :]
         return Raw(start, stop, images, saturated, inside)
+
+    @property
+    def view_step(self) -> int:
+        """Of the photographs every so many rows and columns are in the views."""
+        return max(1, self.grid.columns // VIEW_COLUMNS)
+
+    def add_view(self, images: Array) -> None:
+        """Take in what the views show of a band, (L, h, w, C) float32: linear, dark subtracted."""
+        self._views.append(images)
 
     def views(self) -> Array:
         """Small views of the photographs read so far, (L, h, w, C) float32: for people to look at."""
@@ -239,13 +248,13 @@ class Darkroom:
                 lights.ambient.astype(np.float32)[:, None, None], images.shape[:3]
             ).copy()
         if plate is None:
-            mix = _mix(images, None)
+            mix = grey_shares(images.shape[-1], None)
             # Without a plate it is not known where each lamp is bright: all weigh the same.
             weights /= self.noise.photons(lights.power.astype(np.float32), mix).mean()
         else:
             images = images.copy()
             shares = plate.shares if images.shape[-1] == len(plate.shares) else None
-            mix = _mix(images, shares)
+            mix = grey_shares(images.shape[-1], plate)
             # The lens dims by the pixel, not by where the lamp's ray meets the plane.
             pixels = None if height is None else self.grid.points(raw.start, raw.stop)[:2]
             relative = _relative(
@@ -272,11 +281,11 @@ class Darkroom:
             exposure.check(f"{self.subject}.{lamp}", self.paths[lamp])
 
 
-def _mix(images: Array, shares: Array | None) -> Array:
-    """Share of each channel in the grey of images (..., C), (C,) float32."""
-    if shares is None:
-        shares = EYE if images.shape[-1] > 1 else np.ones(1)
-    return shares.astype(np.float32)
+def grey_shares(channels: int, plate: Plate | None) -> Array:
+    """Share of each channel in the grey that a solver sees, (C,) float32: the plate's, or else the eye's."""
+    if plate is not None and len(plate.shares) == channels:
+        return np.asarray(plate.shares, np.float32)
+    return np.asarray(EYE if channels > 1 else np.ones(1), np.float32)
 
 
 def _relative(
@@ -351,18 +360,3 @@ def bands(grid: PixelGrid, bytes_per_pixel: int) -> Iterator[tuple[int, int]]:
     rows = max(1, min(grid.rows, BAND_BYTES // max(1, bytes_per_pixel * grid.columns)))
     for start in range(0, grid.rows, rows):
         yield start, min(start + rows, grid.rows)
-
-
-def block_means(room: Darkroom, field: LightField, block: int, progress: Callable[[float], None]) -> Array:
-    """Flats averaged over blocks, (L, h, w, C); NaN where a pixel of a block is saturated."""
-    rows, columns = room.grid.rows // block, room.grid.columns // block
-    out = np.empty((len(room.photographs), rows, columns, room.info.channels), np.float32)
-    for start, stop in bands(PixelGrid(rows, columns, 1.0), out[..., 0, 0, :].nbytes * block**2 * 3):
-        raw = room.raw(start * block, stop * block, field)
-        images = raw.images
-        images[raw.saturated] = np.nan
-        shape = (len(images), stop - start, block, columns, block, images.shape[-1])
-        out[:, start:stop] = images[:, :, : columns * block].reshape(shape).mean(axis=(2, 4))
-        progress(stop / rows)
-    room.check()
-    return out

@@ -162,6 +162,27 @@ class Photograph:
             self._check_finite(light, start * cell)
         return superpixels(light[..., 0], self._mosaic) if self._mosaic else light
 
+    @property
+    def plain(self) -> bool:
+        """Whether light is the file's number over the saturation level: no mosaic, no tone curve."""
+        decoder = self._open()
+        whole = decoder.dtype.kind == "u" and decoder.dtype.itemsize <= 2
+        return whole and self._mosaic is None and self._transfer == "linear"
+
+    def numbers(self, start: int, stop: int, out: Array) -> None:
+        """Copy what the file holds in a band of rows of a `plain` photograph; raises as `band` does.
+
+        Parameters
+        ----------
+        start, stop : int
+            Rows.
+        out : (stop - start, columns, channels) array of ``info.dtype``
+            Receives it.
+        """
+        for numbers in self._numbers(self._open(), start, stop):
+            out[: len(numbers)] = numbers
+            out = out[len(numbers) :]
+
     def close(self) -> None:
         """Close the file and forget what was decoded; reading again opens it anew."""
         self._block = None

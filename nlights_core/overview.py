@@ -15,10 +15,10 @@ import numpy as np
 
 from nlights_core.algorithms import HeightDetrend, Integrator, NormalSolver
 from nlights_core.arrays import BandWriter
+from nlights_core.block_means import block_means
 from nlights_core.development import Darkroom, Raw, bands
 from nlights_core.fields import HeightMap, LightField, NormalField
 from nlights_core.frames import Array, PixelGrid
-from nlights_core.images import is_saturated
 from nlights_core.levelling import Level, level
 from nlights_core.noise import Noise
 from nlights_core.plates import Plate
@@ -80,44 +80,17 @@ def reduced_room(room: Darkroom, progress: Callable[[float], None]) -> tuple[Red
         Edge of a block, px; rows and columns that fill no block are left out.
     """
     factor = max(1, room.grid.columns // COLUMNS)
-    rows, columns = room.grid.rows // factor, room.grid.columns // factor
-    shape = (len(room.photographs), rows, columns)
-    images = np.empty((*shape, room.info.channels), np.float32)
-    saturated, inside = np.zeros(shape, bool), np.ones(shape[1:], bool)
-    limited = bool(np.isfinite(room.info.saturation))
-    lines = range(0, factor, max(1, factor // ROWS))
-
-    def block_mean(values: Array) -> Array:
-        used = values[:, : columns * factor]
-        return np.asarray(used.reshape(-1, columns, factor, used.shape[-1]).mean(axis=(0, 2)))
-
-    for row in range(rows):
-        chosen = [row * factor + line for line in lines]
-        if room.mask is not None:
-            inside[row] = block_mean(_lines(room.mask.band, chosen)).max(axis=-1) > 0
-        dark = 0 if room.dark is None else block_mean(_lines(room.dark.band, chosen))
-        for i, photograph in enumerate(room.photographs.values()):
-            light = _lines(photograph.band, chosen)
-            images[i, row] = block_mean(light) - dark
-            if limited:
-                saturated[i, row] = block_mean(is_saturated(light)[..., None])[..., 0] > 0
-        progress((row + 1) / rows)
+    means = block_means(room, factor, ROWS, progress)
+    rows, columns = means.inside.shape
     kept = {f.name: getattr(room, f.name) for f in fields(Darkroom) if f.init and not f.name.startswith("_")}
     kept |= {
         "grid": PixelGrid(rows, columns, room.grid.pixel_size * factor, room.grid.camera, room.grid.unit)
     }
     kept |= {"mask": None, "exposures": {}}
-    small = ReducedRoom(**kept, images=images, saturated=saturated, inside=inside)
-    means = len(lines) * factor
-    small.noise = Noise(room.noise.gain / means, room.noise.readout / means)
+    small = ReducedRoom(**kept, **means._asdict())
+    count = min(ROWS, factor) * factor
+    small.noise = Noise(room.noise.gain / count, room.noise.readout / count)
     return small, factor
-
-
-def _lines(band: Callable[[int, int], Array], rows: list[int]) -> Array:
-    """Some rows of a photograph, (n, W, C)."""
-    if rows[-1] - rows[0] + 1 == len(rows):
-        return band(rows[0], rows[-1] + 1)
-    return np.concatenate([band(row, row + 1) for row in rows])
 
 
 def overview(

@@ -224,12 +224,13 @@ def continued(reading: Array, x: Array, y: Array, step: float) -> Plate:
                     "(the rest is saturated or black); photograph the flat reference again"
                 )
             values = np.log(np.where(known, reading[i, ..., c], 1.0).astype(np.float64))
-            fit = np.linalg.lstsq(inner[known], values[known], rcond=None)[0]
-            missed = np.full(wide.shape[:2], np.nan)
-            frame = (slice(margin, margin + len(y)), slice(margin, margin + len(x)))
-            missed[frame] = np.where(known, values - inner @ fit, np.nan)
-            nearest = distance_transform_edt(np.isnan(missed), return_distances=False, return_indices=True)
-            out[i, ..., c] = wide @ fit + missed[tuple(nearest)]
+            normal = inner[known].T @ inner[known]
+            fit = np.linalg.solve(normal, inner[known].T @ values[known])
+            missed = np.where(known, values - inner @ fit, np.nan)
+            if not known.all():
+                nearest = distance_transform_edt(~known, return_distances=False, return_indices=True)
+                missed = missed[tuple(nearest)]
+            out[i, ..., c] = wide @ fit + np.pad(missed, margin, mode="edge")
     return Plate(out, float(wide_x[0]), float(wide_y[0]), step)
 
 

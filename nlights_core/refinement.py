@@ -7,14 +7,18 @@ from pathlib import Path
 import numpy as np
 
 from nlights_core import strengths
+from nlights_core.block_means import block_means
 from nlights_core.capture import Tile
-from nlights_core.development import bands, block_means, darkroom
+from nlights_core.development import bands, darkroom
 from nlights_core.emission_on_artwork import fit_emission_on_artwork
 from nlights_core.fields import LightField
 from nlights_core.images import grey
 
 BLOCKS = 40
 """Across the artwork, where the emission of its lamps is fitted."""
+
+ROWS = 16
+"""Of each block, that are looked at."""
 
 SAMPLES = 5000
 """How many pixels the refinement of lamp strengths looks at."""
@@ -31,7 +35,9 @@ def refined(tile: Tile, field: LightField, prior: float, scratch: Path) -> Light
     with darkroom(tile, scratch) as room:
         if field.near and field.axes is not None:
             block = max(1, room.grid.columns // BLOCKS)
-            images = grey(block_means(room, field, block, lambda _: None))
+            means = block_means(room, block, ROWS)
+            images = grey(means.images / field.power.astype(np.float32)[:, None, None, :])
+            images[means.saturated | ~means.inside] = np.nan
             return fit_emission_on_artwork(images, field, *room.grid.block_centres(block))
         every = max(1, int(np.sqrt(room.grid.rows * room.grid.columns / (8 * SAMPLES))))
         samples, vectors = [], []

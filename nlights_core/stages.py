@@ -24,8 +24,9 @@ from nlights_core.algorithms import (
     NormalSolver,
 )
 from nlights_core.arrays import BandWriter, read_array, write_array
+from nlights_core.block_means import block_means
 from nlights_core.capture import Tile
-from nlights_core.development import bands, block_means, darkroom
+from nlights_core.development import bands, darkroom
 from nlights_core.emission import check_flat, write_flat_check
 from nlights_core.errors import TileError
 from nlights_core.fields import HeightMap, LightField, NormalField
@@ -60,6 +61,10 @@ __all__ = [
 
 FLATS = "_flats"
 """Where artefacts go that belong to a flat set, not to a tile; no tile can have this name."""
+
+
+ROWS = 8
+"""Of each block of a flat, that are looked at: smoothed, that leaves 0.01 % of noise."""
 
 
 def _photographed(store: Store, tile: Tile, which: str) -> dict[str, Any]:
@@ -171,7 +176,9 @@ def plate(store: Store, tile: Tile, detrend: ImageDetrend, lights: ArtefactRef) 
         flats = None
         if "flats" in detrend.needs:
             with store.scratch() as scratch, darkroom(tile, scratch, flats=True) as room:
-                flats = block_means(room, field, block, progress)
+                means = block_means(room, block, ROWS, progress)
+                flats = means.images / field.power.astype(np.float32)[:, None, None, :]
+                flats[means.saturated] = np.nan
                 write_noise(folder, room.noise)
         shape = (len(field.lamps), len(y), len(x))
         reading = checked_plate(detrend, detrend.plate(flats, field, x, y), shape, info.channels)

@@ -1,0 +1,107 @@
+"""Photographs averaged over blocks of pixels: for plates and overviews, which are smooth."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
+
+import numpy as np
+
+from nlights_core.band_threads import cores
+from nlights_core.development import Darkroom, Exposure
+from nlights_core.frames import Array
+from nlights_core.images import Photograph, grey, is_saturated
+
+
+class BlockMeans(NamedTuple):
+    """Means over blocks of pixels.
+
+    Attributes
+    ----------
+    images : (L, h, w, C) float32
+        Linear, dark subtracted, fractions of saturation.
+    saturated : (L, h, w) bool
+        Where any pixel of the block is.
+    inside : (h, w) bool
+        Where the mask has any pixel of the block.
+    """
+
+    images: Array
+    saturated: Array
+    inside: Array
+
+
+def block_means(
+    room: Darkroom, block: int, rows: int, progress: Callable[[float], None] = lambda _: None
+) -> BlockMeans:
+    """Average the photographs of a darkroom over blocks; then check their exposures.
+
+    Parameters
+    ----------
+    room : Darkroom
+        The open photographs.
+    block : int
+        Edge of a block, px; rows and columns of pixels that fill no block are left out.
+    rows : int
+        How many rows in the middle of each block are looked at: what is smooth needs no more.
+    progress : callable
+        Told the share done.
+
+    Returns
+    -------
+    BlockMeans
+
+    Raises
+    ------
+    TileError
+        When a photograph is black or saturated throughout, or cannot be read.
+    """
+    shape = (room.grid.rows // block, room.grid.columns // block)
+    limited = bool(np.isfinite(room.info.saturation))
+    black: Array = np.zeros((1, 1, 1), np.float32)
+    if room.dark is not None:
+        black, over = _means(room.dark, shape, block, rows, True)
+        room.exposures["dark"] = _exposure(black, over)
+    inside = np.ones(shape, bool)
+    if room.mask is not None:
+        inside = _means(room.mask, shape, block, rows, False)[0].max(axis=-1) > 0
+    lamps = list(room.photographs)
+    images = np.empty((len(lamps), *shape, room.info.channels), np.float32)
+    saturated = np.empty((len(lamps), *shape), bool)
+
+    def average(i: int) -> None:
+        light, share = _means(room.photographs[lamps[i]], shape, block, rows, limited)
+        images[i], saturated[i] = light - black, share > 0
+        room.exposures[lamps[i]] = _exposure(images[i][inside], share[inside])
+
+    with ThreadPoolExecutor(cores()) as pool:
+        for done, _ in enumerate(pool.map(average, range(len(lamps))), 1):
+            progress(done / len(lamps))
+    room.check()
+    return BlockMeans(images, saturated, inside)
+
+
+def _means(
+    photograph: Photograph, shape: tuple[int, int], block: int, rows: int, limited: bool
+) -> tuple[Array, Array]:
+    """Mean (h, w, C) and share of saturated pixels (h, w) of a photograph's blocks."""
+    lines = min(rows, block)
+    columns = shape[1] * block
+    mean = np.empty((*shape, photograph.info.channels), np.float32)
+    share = np.zeros(shape, np.float32)
+    for row in range(shape[0]):
+        first = row * block + (block - lines) // 2
+        light = photograph.band(first, first + lines)[:, :columns]
+        # Down first: along the memory that is a sum of whole rows.
+        down = light.mean(axis=0).reshape(shape[1], block, -1)
+        mean[row] = down.mean(axis=1)
+        if limited:
+            share[row] = is_saturated(light).mean(axis=0).reshape(shape[1], block).mean(axis=1)
+    return mean, share
+
+
+def _exposure(light: Array, saturated: Array) -> Exposure:
+    exposure = Exposure()
+    exposure.add(grey(light).ravel(), saturated.ravel() > 0.5)
+    return exposure
