@@ -54,10 +54,17 @@ class AgreementMeter:
     _surprises: list[Array] = field(default_factory=list)
     _squares: list[Array] = field(default_factory=list)
 
+    @property
+    def step(self) -> int:
+        """Every so many rows and columns are looked at, beginning with row 0 and column step / 2."""
+        return max(1, int(np.ceil(np.sqrt(self.grid.rows * self.grid.columns / PIXELS))))
+
     def add(self, band: Band) -> None:
-        """Look at a band of rows."""
-        step = max(1, int(np.ceil(np.sqrt(self.grid.rows * self.grid.columns / PIXELS))))
-        part = _thinned(band, -band.start % step, step)
+        """Look at some pixels of a band of rows."""
+        self.look(_thinned(band, -band.start % self.step, self.step))
+
+    def look(self, part: Band) -> None:
+        """Look at all pixels of a part."""
         if not part.grey[0].size:
             return
         self._surprises.append(_surprise(part, self.solve(part)))

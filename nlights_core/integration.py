@@ -8,13 +8,17 @@ precision of the gradients: float32 stays float32, float64 stays float64.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from functools import partial
 from typing import Literal
 
 import numpy as np
 import scipy.fft
+from numpy.typing import DTypeLike
 
+from nlights_core.band_threads import cores, in_order
 from nlights_core.frames import Array
+from nlights_core.kernels import available
 
 Stencil = Literal["6-point", "trapezoid"]
 """How the step between two pixels follows from the gradients at the pixels around it."""
@@ -100,7 +104,7 @@ def simchony(
     source = np.zeros(per_column.shape, np.result_type(per_column, per_row))
     add_divergence(source, per_column, stencil, tilt[0])
     add_divergence(source.T, per_row.T, stencil, tilt[1])
-    height = solve_poisson(source)
+    height = solve_poisson(source, overwrite=True)
     add_plane(height, tilt)
     return height
 
@@ -183,29 +187,71 @@ def add_divergence(source: Array, gradient: Array, stencil: Stencil, mean: float
         source[lines, 1:] -= steps
 
 
-def solve_poisson(source: Array) -> Array:
+def solve_poisson(source: Array, *, overwrite: bool = False) -> Array:
     """Solve the discrete Poisson equation of a rectangle with free borders.
+
+    A cosine transform along the rows leaves one tridiagonal system down the columns for each of
+    its waves; without compiled loops a second transform down the columns does the same.
 
     Parameters
     ----------
     source : (H, W) float array
         What the five-point Laplacian of the solution shall be; its mean is ignored.
+    overwrite : bool
+        Whether the solution takes the place of ``source``, which spares an array.
 
     Returns
     -------
     (H, W) float array
         Solution of mean 0, in the precision of ``source``.
+
+    References
+    ----------
+    R. W. Hockney, "A fast direct solution of Poisson's equation using Fourier analysis", J. ACM
+    12 (1965) 95-113.
     """
     rows, columns = source.shape
-    spectrum = scipy.fft.dctn(source, type=2, workers=-1)
+    spectrum = source if overwrite else source.copy()
+    spectrum = scipy.fft.dct(spectrum, type=2, axis=1, workers=cores(), overwrite_x=True)
+    spectrum[:, 0] -= spectrum[:, 0].mean(dtype=np.float64)
     # 2 - 2 cos would lose the slowest waves to rounding; 4 sin^2 does not.
     across = 4 * np.sin(np.pi * np.arange(columns) / (2 * columns)) ** 2
-    down = 4 * np.sin(np.pi * np.arange(rows) / (2 * rows)) ** 2
-    for lines in bands(rows):
-        spectrum[lines] /= _away_from_zero(-(down[lines, None] + across))
-    spectrum[0, 0] = 0
-    height: Array = scipy.fft.idctn(spectrum, type=2, workers=-1, overwrite_x=True)
+    if available():
+        from nlights_core import compiled_integration as compiled
+
+        strips = range(0, columns, compiled.STRIP)
+        list(in_order(partial(compiled.solve_strip, spectrum, across), strips))
+        spectrum[:, 0] -= spectrum[:, 0].mean(dtype=np.float64)
+    else:
+        spectrum = scipy.fft.dct(spectrum, type=2, axis=0, workers=cores(), overwrite_x=True)
+        down = 4 * np.sin(np.pi * np.arange(rows) / (2 * rows)) ** 2
+        for lines in bands(rows):
+            spectrum[lines] /= _away_from_zero(-(down[lines, None] + across))
+        spectrum = scipy.fft.idct(spectrum, type=2, axis=0, workers=cores(), overwrite_x=True)
+    height: Array = scipy.fft.idct(spectrum, type=2, axis=1, workers=cores(), overwrite_x=True)
     return height
+
+
+def islands(known: Array) -> tuple[Array, int]:
+    """Connected islands of pixels; pixels that share an edge belong together.
+
+    Parameters
+    ----------
+    known : (H, W) bool array
+
+    Returns
+    -------
+    label : (H, W) int32 array, or (1, 1) where all are known
+        From 1 on; 0 where not known.
+    count : int
+        How many islands there are.
+    """
+    if known.all():
+        return np.ones((1, 1), np.int32), 1
+    from scipy import ndimage
+
+    label, count = ndimage.label(known)
+    return label, count
 
 
 def mean_per_island(values: Array) -> Array:
@@ -214,28 +260,40 @@ def mean_per_island(values: Array) -> Array:
     Parameters
     ----------
     values : (H, W) float array
-        NaN where not known.  Pixels that share an edge belong together.
+        NaN where not known.
 
     Returns
     -------
     (H, W) or (1, 1) array
         In the precision of ``values``, NaN where not known; one number where all is known.
     """
-    known = np.isfinite(values)
-    if known.all():
-        return np.full((1, 1), values.mean(dtype=np.float64), values.dtype)
-    from scipy import ndimage
-
-    islands, count = ndimage.label(known)
-    total, pixels = np.zeros(count + 1), np.zeros(count + 1)
-    for lines in bands(len(values)):
-        label = islands[lines].ravel()
-        total += np.bincount(label, np.nan_to_num(values[lines]).ravel(), count + 1)
-        pixels += np.bincount(label, minlength=count + 1)
-    means = total / np.maximum(pixels, 1)
-    means[0] = np.nan
-    spread: Array = means.astype(values.dtype)[islands]
+    label, count = islands(np.isfinite(values))
+    sums = (sum_per_island(values[lines], label, count, lines) for lines in bands(len(values)))
+    means = island_means(sums, label, values.size)
+    spread: Array = means.astype(values.dtype)[label]
     return spread
+
+
+def sum_per_island(values: Array, label: Array, count: int, lines: slice) -> Array:
+    """Sums over each island's part of a band of lines, (count + 1,) float64; of `islands`."""
+    if label.size == 1:
+        return np.array([0.0, values.sum(dtype=np.float64)])
+    sums: Array = np.bincount(label[lines].ravel(), np.nan_to_num(values).ravel(), count + 1)
+    return sums
+
+
+def island_means(sums: Iterable[Array], label: Array, pixels: int) -> Array:
+    """Means out of `sum_per_island` of all bands, (count + 1,) float64, NaN for what is no island."""
+    total = np.sum(list(sums), axis=0)
+    sizes = np.zeros(len(total))
+    for lines in bands(len(label)):
+        sizes += np.bincount(label[lines].ravel(), minlength=len(total))
+    # One label for all pixels, see `islands`.
+    if label.size == 1:
+        sizes *= pixels
+    means: Array = total / np.maximum(sizes, 1)
+    means[0] = np.nan
+    return means
 
 
 def mean_steps(per_column: Array, per_row: Array) -> tuple[float, float]:
@@ -246,17 +304,23 @@ def mean_steps(per_column: Array, per_row: Array) -> tuple[float, float]:
 
 def add_plane(height: Array, tilt: tuple[float, float]) -> None:
     """Add a plane of mean 0 to ``height``, in place; ``tilt`` is its step per column and per row."""
-    rows, columns = height.shape
+    across, down = plane(height.shape, tilt, np.float64)
+    for lines in bands(len(height)):
+        height[lines] += down[lines] + across
+
+
+def plane(shape: tuple[int, ...], tilt: tuple[float, float], precision: DTypeLike) -> tuple[Array, Array]:
+    """A plane of mean 0 as the sum of a row (W,) and a column (H, 1)."""
+    rows, columns = shape
     across = (np.arange(columns) - (columns - 1) / 2) * tilt[0]
     down = (np.arange(rows) - (rows - 1) / 2) * tilt[1]
-    for lines in bands(rows):
-        height[lines] += down[lines, None] + across
+    return across.astype(precision), down.astype(precision)[:, None]
 
 
-def bands(rows: int) -> Iterator[slice]:
-    """Slices of up to `BAND` lines that cover all ``rows``."""
-    for start in range(0, rows, BAND):
-        yield slice(start, min(start + BAND, rows))
+def bands(rows: int, lines: int = BAND) -> Iterator[slice]:
+    """Slices of up to ``lines`` lines that cover all ``rows``."""
+    for start in range(0, rows, lines):
+        yield slice(start, min(start + lines, rows))
 
 
 def _by_formulas(gradient: Array, formulas: tuple[tuple[int, Array], ...]) -> Array:

@@ -7,7 +7,8 @@ each lamp's plate is brighter or darker by an amount that is known.  Eight lamps
 equations over, so the right constant is the one at which the photographs agree best.
 
 A lamp that has drifted since the flats were taken would be mistaken for height, so a factor
-per lamp is fitted along (and bound to 1 by a prior).
+per lamp is fitted along (and bound to 1 by a prior).  It has bent the height that it was
+integrated to as well: a fit that took the height for right would answer a tilt with more of it.
 """
 
 from __future__ import annotations
@@ -16,14 +17,19 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from nlights_core import least_squares
 from nlights_core.development import Darkroom, Raw
 from nlights_core.fields import LightField
-from nlights_core.frames import Array
+from nlights_core.frames import Array, PixelGrid
+from nlights_core.integration import simchony
 from nlights_core.plates import Plate
+
+BLOCKS = 32
+"""Across the field, on which it is computed what a drift does to the height: that is smooth."""
 
 PIXELS = 30_000
 """About how many pixels are looked at."""
@@ -96,7 +102,9 @@ def read_level(folder: Path) -> Level:
     return Level(record["offset_mm"], record["uncertainty_mm"], np.array(record["strengths"]))
 
 
-def level(room: Darkroom, lights: LightField, plate: Plate, height: Array) -> Level:
+def level(
+    room: Darkroom, lights: LightField, plate: Plate, height: Array, assumed: Array | None = None
+) -> Level:
     """Find the constant at which the photographs agree best.
 
     Parameters
@@ -109,6 +117,8 @@ def level(room: Darkroom, lights: LightField, plate: Plate, height: Array) -> Le
         What a flat plate reads.
     height : (H, W) array
         Height up to a constant, mm.
+    assumed : (L,) array, optional
+        Strengths of the lamps with which that height was measured; all 1 by default.
 
     Returns
     -------
@@ -122,16 +132,22 @@ def level(room: Darkroom, lights: LightField, plate: Plate, height: Array) -> Le
     many the surface is glossy, and nothing is found: gloss must not be taken for height.
     """
     rows = _sample_rows(room)
-    raws = [room.raw(start, stop, lights) for start, stop in rows]
-    heights = [np.asarray(height[raw.start : raw.stop]) for raw in raws]
+    bends = _bends(room.grid, lights, plate)
+    strips = [
+        _Strip(
+            room.raw(*lines, lights), np.asarray(height[slice(*lines)]), _enlarged(bends, room.grid, *lines)
+        )
+        for lines in rows
+    ]
     count = len(lights.lamps)
+    before = np.zeros(count) if assumed is None else np.log(assumed)
     offset, logarithms = 0.0, np.zeros(count)
     prior = np.diag([HEIGHT_PRIOR**-2, *[STRENGTH_PRIOR**-2] * count])
     lowest = float(np.min(lights.positions[:, 2])) if lights.positions is not None else np.inf
     reach = lowest / 4
     information = prior
     for _ in range(ROUNDS):
-        matrix, right, pixels = _equations(room, lights, plate, raws, heights, offset, logarithms)
+        matrix, right, pixels = _equations(room, lights, plate, strips, offset, logarithms, before)
         if pixels < INDEPENDENT:
             return Level(0.0, None, np.ones(count))
         share = min(1.0, INDEPENDENT / pixels)
@@ -192,19 +208,16 @@ def _equations(
     room: Darkroom,
     lights: LightField,
     plate: Plate,
-    raws: Sequence[Raw],
-    heights: Sequence[Array],
+    strips: Sequence[_Strip],
     offset: float,
     logarithms: Array,
+    before: Array,
 ) -> tuple[Array, Array, int]:
     """Normal equations of offset and strengths, in units of the residuals' variance.
 
     No pixels are counted when too many samples are strange: gloss would be taken for height.
     """
-    parts = [
-        _linearised(room, lights, plate, raw, z, offset, logarithms)
-        for raw, z in zip(raws, heights, strict=True)
-    ]
+    parts = [_linearised(room, lights, plate, strip, offset, logarithms, before) for strip in strips]
     size = len(lights.lamps) + 1
     matrix, right, pixels = np.zeros((size, size)), np.zeros(size), 0
     settled, scale = parts, 1.0
@@ -236,13 +249,14 @@ class _Linearised:
     lights: Array
     weights: Array
     by_offset: Array
+    bends: Array
     surprise: Array
     found: least_squares.Fit
     albedo: Array
 
     def with_weights(self, weights: Array) -> _Linearised:
         """Solve again with other weights."""
-        return _solved(self.images, self.lights, weights, self.by_offset)
+        return _solved(self.images, self.lights, weights, self.by_offset, self.bends)
 
     def sums(self, scale: float) -> tuple[Array, Array, int]:
         """Share of this band of the normal equations."""
@@ -254,35 +268,88 @@ class _Linearised:
         shown = np.nan_to_num(self.images - residual)
         across = _off_normals(self.by_offset, lights, self.weights, inverse)
         across = np.where(known, np.nan_to_num(across), 0)
+        # Products of by_offset, which a drift changes by its bend, with itself, residual and drifts.
+        own = np.sum(weights * self.by_offset * across, axis=0)
+        rest = np.sum(weights * across * residual, axis=0)
+        mixed = -weights * across * shown
         matrix, right = np.zeros((count + 1, count + 1)), np.zeros(count + 1)
-        matrix[0, 0] = np.sum(weights * self.by_offset * across)
-        right[0] = -np.sum(weights * across * residual)
+        matrix[0, 0], right[0] = np.sum(own), -np.sum(rest)
         turned = [least_squares.multiply(inverse, np.moveaxis(light, -1, 0)) for light in lights]
-        for k in range(count):
-            matrix[0, k + 1] = matrix[k + 1, 0] = -np.sum(weights[k] * across[k] * shown[k])
-            right[k + 1] = np.sum(weights[k] * shown[k] * residual[k])
+        for k, bend in enumerate(self.bends):
+            matrix[0, k + 1] = matrix[k + 1, 0] = np.sum(mixed[k] - bend * own)
+            right[k + 1] = np.sum(weights[k] * shown[k] * residual[k] + bend * rest)
             for m in range(k, count):
                 shared = np.sum(np.moveaxis(lights[k], -1, 0) * turned[m], axis=0) * self.weights[m]
                 off = (k == m) - np.where(known, shared, 0)
-                value = np.sum(weights[k] * shown[k] * off * shown[m])
+                other = self.bends[m]
+                both = bend * mixed[m] + other * mixed[k] - bend * other * own
+                value = np.sum(weights[k] * shown[k] * off * shown[m] - both)
                 matrix[k + 1, m + 1] = matrix[m + 1, k + 1] = value
         return matrix, right, int(np.count_nonzero(known))
+
+
+class _Strip(NamedTuple):
+    """Some rows of the photographs, their height (h, w), and what drifts have bent it by (L, h, w)."""
+
+    raw: Raw
+    height: Array
+    bends: Array
+
+
+def _bends(grid: PixelGrid, lights: LightField, plate: Plate) -> Array:
+    """By how much a flat surface seems to bend when a lamp becomes stronger, on a coarse grid.
+
+    Returns
+    -------
+    (L, h, w) float64 array
+        mm per unit of the logarithm of the lamp's strength, of mean 0.
+    """
+    edge = max(1, -(-max(grid.shape) // BLOCKS))
+    coarse = PixelGrid(-(-grid.rows // edge), -(-grid.columns // edge), grid.pixel_size * edge)
+    points = coarse.points(0, coarse.rows)
+    rays = lights.vectors(points).astype(np.float64)
+    rays = np.broadcast_to(rays / rays[..., 2:], (len(lights.lamps), *coarse.shape, 3))
+    weights = np.stack([plate.at(i, points[0], points[1]).mean(axis=-1) for i in range(len(rays))])
+    inverse = least_squares.fit(np.ones(weights.shape), rays, weights, np.inf).inverse
+    bends = np.empty(weights.shape)
+    for i, (ray, weight) in enumerate(zip(rays, weights, strict=True)):
+        turned = least_squares.multiply(inverse, np.moveaxis(ray, -1, 0) * weight)
+        bends[i] = simchony(-turned[0] * coarse.pixel_size, turned[1] * coarse.pixel_size)
+    return bends
+
+
+def _enlarged(bends: Array, grid: PixelGrid, start: int, stop: int) -> Array:
+    """Rows of coarse maps (L, h, w) on the grid of the photographs, (L, stop - start, W)."""
+    rows = np.arange(start, stop) / max(grid.rows - 1, 1) * (bends.shape[1] - 1)
+    columns = np.arange(grid.columns) / max(grid.columns - 1, 1) * (bends.shape[2] - 1)
+    above, left = (
+        np.minimum(place.astype(int), max(count - 2, 0))
+        for place, count in ((rows, bends.shape[1]), (columns, bends.shape[2]))
+    )
+    below, right = np.minimum(above + 1, bends.shape[1] - 1), np.minimum(left + 1, bends.shape[2] - 1)
+    lines = bends[:, above] + (bends[:, below] - bends[:, above]) * (rows - above)[None, :, None]
+    return np.asarray(lines[:, :, left] + (lines[:, :, right] - lines[:, :, left]) * (columns - left))
 
 
 def _linearised(
     room: Darkroom,
     lights: LightField,
     plate: Plate,
-    raw: Raw,
-    height: Array,
+    strip: _Strip,
     offset: float,
     logarithms: Array,
+    before: Array,
 ) -> _Linearised:
-    """Develop a band at an offset and a little above, and solve it."""
+    """Develop a band at an offset and a little above, and solve it.
+
+    What the drifts that were not known ``before`` have bent the height by is taken off it.
+    """
+    raw = strip.raw
+    height = strip.height - np.einsum("l,lhw->hw", logarithms - before, strip.bends)
     factors = np.exp(-logarithms).astype(np.float32)[:, None, None]
 
     def developed(z: float) -> tuple[Array, Array, Array]:
-        band = room.develop(raw, lights, plate, height + np.float32(z))
+        band = room.develop(raw, lights, plate, (height + z).astype(np.float32))
         weights = np.where(np.isfinite(height), band.weights, 0)
         images = (band.grey * factors).astype(np.float64)
         shape = (*images.shape, 3)
@@ -296,16 +363,18 @@ def _linearised(
     # mean: it was taken for 0.03 mm of height.  So it is the predicted images that are changed.
     shown = images - _residuals(images, light, found.scaled)
     brighter = np.divide(above, images, out=np.ones_like(images), where=images != 0)
-    return _solved(images, light, usable, _residuals(shown * brighter, light_above, found.scaled) / STEP)
+    return _solved(
+        images, light, usable, _residuals(shown * brighter, light_above, found.scaled) / STEP, strip.bends
+    )
 
 
-def _solved(images: Array, lights: Array, weights: Array, by_offset: Array) -> _Linearised:
+def _solved(images: Array, lights: Array, weights: Array, by_offset: Array, bends: Array) -> _Linearised:
     found = least_squares.fit(images, lights, weights, CONDITION)
     albedo = np.sqrt(np.sum(found.scaled**2, axis=0))
     residual = _residuals(images, lights, found.scaled)
     with np.errstate(divide="ignore", invalid="ignore"):
         surprise = np.where(weights > 0, np.abs(residual) * np.sqrt(weights / albedo), np.nan)
-    return _Linearised(images, lights, weights, by_offset, surprise, found, albedo)
+    return _Linearised(images, lights, weights, by_offset, bends, surprise, found, albedo)
 
 
 def _residuals(images: Array, lights: Array, scaled: Array) -> Array:

@@ -2,18 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
+from nlights_core.band_threads import in_order
 from nlights_core.frames import Array
-from nlights_core.integration import bands
+from nlights_core.integration import BAND, bands
+from nlights_core.kernels import available
+
+Result = TypeVar("Result")
 
 DAMPING = 0.8
 """Share of a Jacobi step that is taken; below 1, so that a chequered error dies out too."""
 
 COARSEST = 256
 """Pixels of the coarsest grid, whose Laplacian is inverted as a matrix."""
+
+SMALL = 1 << 18
+"""Grids of no more pixels are left to one thread."""
 
 CLOSE_ENOUGH = 0.25
 """A coarse residual that has fallen to this share needs no second step."""
@@ -52,6 +61,47 @@ def weighted_laplacian(height: Array, across: Array, down: Array) -> Array:
         excess[below] += steps
         excess[lines] -= steps
     return excess
+
+
+def left_over(residual: Array, length: float, height: Array, across: Array, down: Array, out: Array) -> None:
+    """What is left of a residual after going a length along a height.
+
+    Parameters
+    ----------
+    residual : (H, W) float array
+    length : float
+    height, across, down : arrays
+        As `weighted_laplacian` gets them.
+    out : (H, W) float array
+        Written: ``residual - length * weighted_laplacian(height)``; may be the residual itself.
+    """
+    if available():
+        from nlights_core import compiled_integration as compiled
+
+        def work(lines: slice) -> None:
+            compiled.left_over(residual[lines], float(length), height, across, down, lines.start, out[lines])
+
+        _in_threads(work, height)
+    else:
+        out[:] = residual - length * weighted_laplacian(height, across, down)
+
+
+def overlap(other: Array, height: Array, across: Array, down: Array) -> float:
+    """Sum of ``other`` times `weighted_laplacian` of a height, in double precision."""
+    if not available():
+        return _dot(other, weighted_laplacian(height, across, down))
+    from nlights_core import compiled_integration as compiled
+
+    def work(lines: slice) -> float:
+        return compiled.overlap(other, height, across, down, lines.start, lines.stop)
+
+    return sum(_in_threads(work, height))
+
+
+def _in_threads(work: Callable[[slice], Result], grid: Array) -> list[Result]:
+    lines = BAND if grid.size > SMALL else len(grid)
+    parts = bands(len(grid), lines)
+    return list(in_order(work, parts)) if grid.size > SMALL else [work(part) for part in parts]
 
 
 @dataclass(frozen=True)
@@ -101,8 +151,11 @@ class Multigrid:
         -------
         (H, W) float32 array
         """
-        largest = float(np.abs(residual).max()) or 1.0
-        height = self._cycle(0, (residual / largest).astype(np.float32))
+        largest = max(abs(float(residual.max())), abs(float(residual.min()))) or 1.0
+        # Scaled, so that single precision neither overflows nor vanishes.
+        scaled = np.empty(residual.shape, np.float32)
+        np.multiply(residual, 1 / largest, out=scaled, casting="same_kind")
+        height = self._cycle(0, scaled)
         height *= np.float32(largest)
         return height
 
@@ -112,14 +165,18 @@ class Multigrid:
             height = self._coarsest_inverse @ residual.ravel()
             return height.reshape(residual.shape).astype(np.float32)
         level = self._levels[depth]
-        height = DAMPING * level.inverse_diagonal * residual
-        left = residual - weighted_laplacian(height, level.across, level.down)
-        coarse = self._coarse_steps(depth + 1, _block_sums(left))
-        _add_blocks(height, coarse)
-        left = residual - weighted_laplacian(height, level.across, level.down)
-        left *= level.inverse_diagonal
-        left *= DAMPING
-        height += left
+        height = residual * level.inverse_diagonal
+        height *= np.float32(DAMPING)
+        left = np.empty_like(residual)
+        left_over(residual, 1.0, height, level.across, level.down, left)
+        coarse = _block_sums(left)
+        # What a level does not need while the coarser ones work is not held.
+        del left
+        _add_blocks(height, self._coarse_steps(depth + 1, coarse))
+        del coarse
+        left = np.empty_like(residual)
+        left_over(residual, 1.0, height, level.across, level.down, left)
+        _jacobi(height, left, level.inverse_diagonal)
         return height
 
     def _coarse_steps(self, depth: int, residual: Array) -> Array:
@@ -128,24 +185,23 @@ class Multigrid:
         if depth == len(self._levels) - 1:
             return first
         level = self._levels[depth]
-        first_change = weighted_laplacian(first, level.across, level.down)
-        stiffness = _dot(first, first_change)
+        stiffness = overlap(first, first, level.across, level.down)
         if stiffness <= 0:
             return first
-        length = np.float32(_dot(first, residual) / stiffness)
-        left = residual - length * first_change
+        length = _dot(first, residual) / stiffness
+        left = np.empty_like(residual)
+        left_over(residual, length, first, level.across, level.down, left)
         if _dot(left, left) <= CLOSE_ENOUGH**2 * _dot(residual, residual):
-            return length * first
+            first *= np.float32(length)
+            return first
         second = self._cycle(depth, left)
-        second_change = weighted_laplacian(second, level.across, level.down)
-        overlap = _dot(second, first_change) / stiffness
-        second_stiffness = _dot(second, second_change) - overlap**2 * stiffness
-        if second_stiffness <= 0:
-            return length * first
-        second_length = _dot(second, left) / second_stiffness
-        along_first = np.float32(length - overlap * second_length)
-        steps: Array = along_first * first + np.float32(second_length) * second
-        return steps
+        common = overlap(second, first, level.across, level.down) / stiffness
+        second_stiffness = overlap(second, second, level.across, level.down) - common**2 * stiffness
+        second_length = _dot(second, left) / second_stiffness if second_stiffness > 0 else 0.0
+        first *= np.float32(length - common * second_length)
+        second *= np.float32(second_length)
+        first += second
+        return first
 
 
 def _level(across: Array, down: Array) -> _Level:
@@ -156,6 +212,17 @@ def _level(across: Array, down: Array) -> _Level:
     diagonal[:-1] += down
     inverse = np.divide(1, diagonal, out=np.zeros_like(diagonal), where=diagonal > 0)
     return _Level(across, down, inverse)
+
+
+def _jacobi(height: Array, residual: Array, inverse_diagonal: Array) -> None:
+    """A damped Jacobi step, in place."""
+
+    def work(lines: slice) -> None:
+        step = residual[lines] * inverse_diagonal[lines]
+        step *= np.float32(DAMPING)
+        height[lines] += step
+
+    _in_threads(work, height)
 
 
 def _joined(weights: Array) -> Array:
@@ -192,4 +259,7 @@ def _inverse(level: _Level) -> Array:
 
 
 def _dot(a: Array, b: Array) -> float:
-    return float(np.vdot(a, b))
+    def work(lines: slice) -> float:
+        return float(np.einsum("ij,ij->", a[lines], b[lines], dtype=np.float64))
+
+    return sum(_in_threads(work, a))

@@ -145,7 +145,7 @@ def overview(
             trend = detrend.trend(HeightMap(height, room.grid))
             height = height - checked_array(detrend, "the trend", trend, room.grid.shape)
         if levels and plate is not None:
-            found = level(room, lights, plate, height)
+            found = level(room, lights, plate, height, found.strengths)
             height = height + np.float32(found.offset)
     assert height is not None
     return height, found

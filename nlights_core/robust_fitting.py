@@ -367,12 +367,29 @@ def _scale(missed: Array, used: Array) -> Array:
     is the (k + 4) / 2 smallest of all; it is divided by the quantile that it is of normal
     noise's absolute values.
     """
-    from scipy.special import ndtri
-
     count = np.count_nonzero(used, axis=0)
     middle = (count + 4) // 2
     ordered = np.sort(np.where(used, missed, np.float32(np.inf)), axis=0)
     median = np.take_along_axis(ordered, middle[None] - 1, axis=0)[0]
+    return np.asarray(median / scale_quantiles(len(used))[count])
+
+
+def scale_quantiles(most: int) -> Array:
+    """Quantile of normal noise's absolute values that `_scale` divides by, by the number of lights.
+
+    Parameters
+    ----------
+    most : int
+        Largest number of lights.
+
+    Returns
+    -------
+    (most + 1,) float32 array
+        NaN below `FEWEST`.
+    """
+    from scipy.special import ndtri
+
+    count = np.arange(most + 1)
     # The r-th of m sorted uniform numbers is expected near r / (m + 1/2).
-    share = (middle - 3) / (count - 2.5)
-    return np.asarray(median / ndtri(0.5 + 0.5 * share).astype(np.float32))
+    share = ((count + 4) // 2 - 3) / (count - 2.5)
+    return np.where(count >= FEWEST, ndtri(0.5 + 0.5 * share), np.nan).astype(np.float32)

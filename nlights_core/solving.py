@@ -9,6 +9,7 @@ Files, all on the photograph's grid: ``normals.npy`` (H, W, 3), ``albedo.npy`` (
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
@@ -21,6 +22,8 @@ from nlights_core.arrays import BandWriter, write_array
 from nlights_core.development import Band, Darkroom
 from nlights_core.fields import LightField
 from nlights_core.frames import Array
+from nlights_core.kernels import Images, kernel_of
+from nlights_core.least_squares import UsableLights
 from nlights_core.plates import Plate
 from nlights_core.store import Progress
 from nlights_core.verification import checked_solution
@@ -79,30 +82,57 @@ def solve(
         "shadow": (shape, np.uint8),
     }
     meter = AgreementMeter(room.grid, partial(solved, solver))
+    kernel = kernel_of(solver)
+    if kernel and plate is not None and not lights.ambient.any():
+        from nlights_core.fused_solving import FusedSolver
+
+        assert isinstance(solver, UsableLights)
+        strips = FusedSolver(room, solver, kernel, lights, plate, height, SHADOW).strips(meter)
+    else:
+        strips = _by_bands(room, solver, lights, plate, height, meter)
     with ExitStack() as stack:
         out = {
             name: stack.enter_context(BandWriter(folder / f"{name}.npy", *kind))
             for name, kind in files.items()
         }
-        for band in room.bands(lights, plate, height):
-            found = solved(solver, band)
-            normals = found.normals
-            if bias is not None:
-                normals = normals - bias[band.start : band.stop]
-                normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
-            shading = _shading(found, band)
-            out["normals"].write(normals)
-            out["albedo"].write(coloured_albedo(band.images, shading, found.weights))
-            out["apparent"].write(_apparent(band))
-            out["confidence"].write(found.confidence)
-            out["residual"].write(relative_residual(band.grey, shading, found))
-            out["used"].write(_count(found.weights > 0))
-            out["saturated"].write(_count(band.saturated))
-            out["shadow"].write(_count(_shadowed(band)))
-            meter.add(band)
-            progress(band.stop / room.grid.rows)
+        for start, stop, images in strips:
+            for name, image in images._asdict().items():
+                if name == "normals" and bias is not None:
+                    image = image - bias[start:stop]
+                    image /= np.linalg.norm(image, axis=-1, keepdims=True)
+                out[name].write(image)
+            progress(stop / room.grid.rows)
     write_agreement(folder, meter.found())
     write_array(folder / "frames.npy", room.views())
+
+
+def _by_bands(
+    room: Darkroom,
+    solver: NormalSolver,
+    lights: LightField,
+    plate: Plate | None,
+    height: Array | None,
+    meter: AgreementMeter,
+) -> Iterator[tuple[int, int, Images]]:
+    """Solve with a solver that sees one band of plain arrays at a time."""
+    for band in room.bands(lights, plate, height):
+        found = solved(solver, band)
+        shading = _shading(found, band)
+        meter.add(band)
+        yield (
+            band.start,
+            band.stop,
+            Images(
+                normals=found.normals,
+                albedo=coloured_albedo(band.images, shading, found.weights),
+                apparent=_apparent(band),
+                confidence=found.confidence,
+                residual=relative_residual(band.grey, shading, found),
+                used=_count(found.weights > 0),
+                saturated=_count(band.saturated),
+                shadow=_count(_shadowed(band)),
+            ),
+        )
 
 
 def solved(solver: NormalSolver, band: Band) -> Solution:

@@ -336,13 +336,21 @@ def trend(store: Store, tile: Tile, detrend: HeightDetrend, height: ArtefactRef)
     return Work(ref, record, make)
 
 
-def level(store: Store, tile: Tile, lights: ArtefactRef, plate: ArtefactRef, height: ArtefactRef) -> Work:
+def level(
+    store: Store,
+    tile: Tile,
+    lights: ArtefactRef,
+    plate: ArtefactRef,
+    height: ArtefactRef,
+    overview: ArtefactRef,
+) -> Work:
     """Height above the plane of the flat, ``height.npy``, and what was found, ``level.json``.
 
-    See `nlights_core.levelling`.  For distant lamps there is nothing to find.
+    See `nlights_core.levelling`.  For distant lamps there is nothing to find.  The ``overview`` knows
+    with which strengths of the lamps the height was measured.
     """
     facts = _photographed(store, tile, "frames")
-    inputs = {"lights": lights, "plate": plate, "height": height}
+    inputs = {"lights": lights, "plate": plate, "height": height, "overview": overview}
     ref, record = describe("level", tile.artwork, tile.name, inputs=inputs, facts=facts)
 
     def make(folder: Path, progress: Progress) -> None:
@@ -353,7 +361,8 @@ def level(store: Store, tile: Tile, lights: ArtefactRef, plate: ArtefactRef, hei
             grid = room.grid
             if field.near and grid.unit == "mm":
                 room.noise = read_noise(store.path(plate)) or room.noise
-                found = levelling.level(room, field, flat, before)
+                assumed = read_level(store.path(overview)).strengths
+                found = levelling.level(room, field, flat, before, assumed)
         write_level(folder, found)
         with BandWriter(folder / "height.npy", before.shape) as file:
             for start, stop in bands(grid, 12):

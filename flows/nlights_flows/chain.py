@@ -41,18 +41,18 @@ def digitise_tile(
         call(stages.bias, tile, detrend.normals, recipe.normals, lights, plate) if detrend.normals else None
     )
 
-    height = trend = None
+    overview = trend = None
     if recipe.passes > 1:
         algorithms = (recipe.normals, recipe.integrator)
-        height = call(
+        overview = call(
             stages.overview, tile, *algorithms, lights, plate, bias, detrend.height, recipe.passes - 1
         )
-    normals = call(stages.normals, tile, recipe.normals, lights, plate, bias, height)
+    normals = call(stages.normals, tile, recipe.normals, lights, plate, bias, overview)
     height = integrated = call(stages.height, tile, recipe.integrator, normals)
     if detrend.height:
         height = trend = call(stages.trend, tile, detrend.height, height)
     if _levels(recipe):
-        height = call(stages.level, tile, lights, plate, height)
+        height = call(stages.level, tile, lights, plate, height, overview)
 
     # Only a photographed plate knows what white is.
     white = plate if detrend.images and "flats" in detrend.images.needs else None

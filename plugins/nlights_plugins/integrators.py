@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -13,31 +11,31 @@ from pydantic import Field
 from nlights_core.algorithms import Integrator
 from nlights_core.fields import HeightMap, NormalField
 from nlights_core.frames import Array, PixelGrid
-from nlights_core.integration import (
-    Stencil,
-    frankot_chellappa,
-    mean_per_island,
-    simchony,
-)
-from nlights_core.masked_integration import (
+from nlights_core.integration import Stencil, frankot_chellappa
+from nlights_core.normal_integration import least_squares_height, sample_rows
+from nlights_core.sight_lines import facing_rays, seen_gradient, seen_surface
+from nlights_core.weighted_integration import (
     evenly_certain,
-    masked_least_squares,
+    middle_uncertainty,
     relative_uncertainty,
-    weighted_least_squares,
+    weighted_height,
 )
-from nlights_core.sight_lines import facing_rays, perspective_height, seen_gradient
 
 FLATTENED_DEG = 70.0
 """Slopes that all count the same are limited to this angle: a single one could bend the whole."""
-
-STEEPEST_DEG = 89.5
-"""Slopes that count by their certainty are limited to this angle to the viewing ray."""
 
 
 class SlopeIntegrator(Integrator):
     """What both integrators share: whose rays are followed."""
 
-    bytes_per_pixel: ClassVar[int] = 136
+    bytes_per_pixel: ClassVar[int] = 64
+    """Weighted, or masked as labyrinths are: what a field needs cannot be said before it is solved."""
+
+    bytes_per_pixel_direct: ClassVar[int] = 12
+    """Evenly certain and all known."""
+
+    bytes_per_pixel_masked: ClassVar[int] = 24
+    """Evenly certain, with unknown parts such as a border or spots."""
 
     perspective: bool = Field(
         default=True,
@@ -55,6 +53,7 @@ class FrankotChellappa(SlopeIntegrator):
     """
 
     name: ClassVar[str] = "frankot-chellappa"
+    bytes_per_pixel_direct: ClassVar[int] = 36
 
     periodic: bool = Field(
         default=False,
@@ -66,9 +65,12 @@ class FrankotChellappa(SlopeIntegrator):
         """Integrate a whole field; see `nlights_core.integration.frankot_chellappa`."""
         grid = _seen(normals.grid, self.perspective)
         facing = facing_rays(normals.normals, grid)
-        solve = partial(frankot_chellappa, periodic=self.periodic)
-        scaled_log = _alike(normals.normals, facing, grid, solve, "6-point")
-        return _height_map(scaled_log, grid, normals.grid)
+        if not np.isfinite(facing).all():
+            return HeightMap(_alike(normals.normals, grid, "6-point"), normals.grid)
+        gradient = seen_gradient(normals.normals, facing, grid, FLATTENED_DEG)
+        height = frankot_chellappa(*gradient, periodic=self.periodic)
+        seen_surface(height, (0.0, 0.0), None if grid.camera is None else grid.camera[2])
+        return HeightMap(height.astype(np.float32, copy=False), normals.grid)
 
 
 class Simchony(SlopeIntegrator):
@@ -88,44 +90,31 @@ class Simchony(SlopeIntegrator):
     )
 
     def integrate(self, normals: NormalField) -> HeightMap:
-        """Integrate a whole field; see `nlights_core.integration.simchony`.
+        """Integrate a whole field; see `nlights_core.normal_integration.least_squares_height`.
 
-        Where the slopes differ in certainty, `nlights_core.masked_integration.weighted_least_squares`.
+        Where the slopes differ in certainty, `nlights_core.weighted_integration.weighted_height`.
         """
         grid = _seen(normals.grid, self.perspective)
-        facing = facing_rays(normals.normals, grid)
-        uncertainty = None
-        if self.weights and normals.confidence is not None:
-            uncertainty = relative_uncertainty(normals.confidence, np.isfinite(facing))
-        if not self.weights or evenly_certain(facing, uncertainty):
-            solve = partial(simchony, stencil=self.stencil)
-            scaled_log = _alike(normals.normals, facing, grid, solve, self.stencil)
-        else:
-            gradient = seen_gradient(normals.normals, facing, grid, STEEPEST_DEG)
-            scaled_log = weighted_least_squares(*gradient, facing, uncertainty, grid, stencil=self.stencil)
-        return _height_map(scaled_log, grid, normals.grid)
+        if not self.weights or _even(normals, grid):
+            return HeightMap(_alike(normals.normals, grid, self.stencil), normals.grid)
+        height = weighted_height(normals.normals, grid, normals.confidence, stencil=self.stencil)
+        return HeightMap(height.astype(np.float32, copy=False), normals.grid)
 
 
 def _seen(grid: PixelGrid, perspective: bool) -> PixelGrid:
     return grid if perspective else replace(grid, camera=None)
 
 
-def _alike(
-    normals: Array,
-    facing: Array,
-    grid: PixelGrid,
-    solve: Callable[[Array, Array], Array],
-    stencil: Stencil,
-) -> Array:
-    """Integral of slopes that count the same: by ``solve`` where all are known, else with a mask."""
-    per_column, per_row = seen_gradient(normals, facing, grid, FLATTENED_DEG)
-    if np.isfinite(facing).all():
-        return solve(per_column, per_row)
-    return masked_least_squares(per_column, per_row, stencil=stencil)
+def _even(field: NormalField, grid: PixelGrid) -> bool:
+    """Whether weights would matter little, on a sample of the rows."""
+    rows = sample_rows(grid)
+    facing = facing_rays(field.normals[rows], grid, rows)
+    uncertainty = None
+    if field.confidence is not None:
+        stated = field.confidence[rows]
+        uncertainty = relative_uncertainty(stated, middle_uncertainty(stated, np.isfinite(facing)))
+    return evenly_certain(facing, uncertainty)
 
 
-def _height_map(scaled_log: Array, seen: PixelGrid, grid: PixelGrid) -> HeightMap:
-    """z of mean 0 on every island, out of the integral along the rays of ``seen``."""
-    height = scaled_log if seen.camera is None else perspective_height(scaled_log, seen.camera[2])
-    height -= mean_per_island(height)
-    return HeightMap(height.astype(np.float32, copy=False), grid)
+def _alike(normals: Array, grid: PixelGrid, stencil: Stencil) -> Array:
+    return least_squares_height(normals, grid, stencil=stencil, steepest_deg=FLATTENED_DEG)

@@ -2,7 +2,7 @@
 
 from typing import ClassVar
 
-from nlights_core import least_squares
+from nlights_core import kernels, least_squares
 from nlights_core.algorithms import Solution
 from nlights_core.frames import Array
 from nlights_core.least_squares import UsableLights
@@ -16,8 +16,11 @@ class LeastSquares(UsableLights):
     """
 
     name: ClassVar[str] = "least-squares"
+    kernel: ClassVar[kernels.Kernel] = "least-squares"
 
     def solve(self, images: Array, lights: Array, weights: Array) -> Solution:
+        if kernels.available():
+            return kernels.solve(self.kernel, images, lights, weights, self.shadow, self.condition)
         usable = least_squares.lit(images, weights, self.shadow)
         found = least_squares.fit(images, lights, usable, self.condition)
         return least_squares.solution(images, lights, usable, found)

@@ -2,7 +2,7 @@
 
 from typing import ClassVar
 
-from nlights_core import least_squares, robust_fitting
+from nlights_core import kernels, least_squares, robust_fitting
 from nlights_core.algorithms import Solution
 from nlights_core.frames import Array
 from nlights_core.least_squares import UsableLights
@@ -18,8 +18,11 @@ class Robust(UsableLights):
     """
 
     name: ClassVar[str] = "robust"
+    kernel: ClassVar[kernels.Kernel] = "robust"
 
     def solve(self, images: Array, lights: Array, weights: Array) -> Solution:
+        if kernels.available():
+            return kernels.solve(self.kernel, images, lights, weights, self.shadow, self.condition)
         return robust_fitting.in_blocks(self._solved, images, lights, weights)
 
     def _solved(self, images: Array, lights: Array, weights: Array) -> Solution:

@@ -1,5 +1,6 @@
 """The integrators as a recipe uses them: normals in, millimetres out."""
 
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -235,3 +236,27 @@ def test_depths_of_real_objects_come_out_of_their_normals(name, most):
     found = field.grid.camera[2] - Simchony().integrate(field).height.astype(float)
     found *= np.nanmedian(depth / found)
     assert np.nanmean(np.abs(found - depth)) < most
+
+
+@pytest.mark.parametrize("route", ["direct", "masked", "labyrinth", "weighted"])
+def test_no_more_memory_is_taken_than_is_stated(route):
+    grid = PixelGrid(2000, 3000, 0.1, CAMERA) if route in ("direct", "masked") else PixelGrid(900, 1200, 0.1)
+    rng = np.random.default_rng(4)
+    slopes = rng.normal(0, 0.05, (*grid.shape, 2)).astype(np.float32)
+    normals = unit(np.concatenate([slopes, np.ones((*grid.shape, 1), np.float32)], axis=-1))
+    confidence = np.full(grid.shape, 0.2, np.float32)
+    if route != "direct":
+        normals[300:340, 400:420] = normals[:, :5] = np.nan
+    if route == "labyrinth":
+        normals[200::200, 10:] = normals[300::200, :-10] = np.nan
+    if route == "weighted":
+        confidence[500:600] = 5
+    stated = {"direct": Simchony.bytes_per_pixel_direct, "masked": Simchony.bytes_per_pixel_masked}
+    field = NormalField(normals, grid, confidence)
+    tracemalloc.start()
+    try:
+        Simchony().integrate(field)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < stated.get(route, Simchony.bytes_per_pixel) * grid.rows * grid.columns

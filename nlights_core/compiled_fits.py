@@ -1,0 +1,198 @@
+"""Compiled fits: weighted least squares over blocks of pixels, for numba.
+
+Pixels are taken in blocks of `BLOCK`.  The loop over the lights is outside and the loop over the
+pixels of a block inside, so that the compiler makes vector instructions of it, and all that a
+block needs stays in the processor's cache.  A block is a row of numbers (float32), in which each
+quantity has its place, `BLOCK` numbers long; the constants below are where the places begin.  A
+pixel's result does not depend on the block that it is in.
+
+Import this module only through `nlights_core.kernels`: it needs numba.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numba
+import numpy as np
+
+from nlights_core.frames import Array
+
+BLOCK = 128
+"""Pixels of a block."""
+
+# Of a sample, in an array (L, SAMPLE):
+VALUE, USABLE, TRIAL, X, Y, Z, SAMPLE = range(0, 7 * BLOCK, BLOCK)
+"""Grey, 0 where not usable; weight of a usable sample; weight in the fit; light; size of them all."""
+
+# Of a fit, in an array (FIT,):
+SCALED, MATRIX, RIGHT, DETERMINANT = 0, 3 * BLOCK, 9 * BLOCK, 12 * BLOCK
+FIT = 13 * BLOCK
+"""Albedo times normal; normal matrix or its inverse, upper triangle; right-hand side; determinant of the
+matrix scaled to a trace of 1; size of all."""
+
+TINY = np.float32(np.finfo(np.float32).tiny)
+INFINITE_BITS = np.int32(0x7F800000)
+ZERO, ONE = np.float32(0), np.float32(1)
+
+
+class Work(NamedTuple):
+    """What is known of the pixels of some blocks, and room to work in.
+
+    Attributes
+    ----------
+    samples : (S, L, SAMPLE) float32 array
+    fits : (S, FIT) float32 array
+    found : (S, FOUND) float32 array
+        See `nlights_core.compiled_solutions`.
+    quantiles : (L + 1,) float32 array
+        From `nlights_core.robust_fitting.scale_quantiles`.
+    some : (L, SAMPLE) float32 array
+        Pixels from several blocks; without NaN from the beginning.
+    fit : (FIT,) float32 array
+        Their fit.
+    noise : (3, L, BLOCK) float32 array
+        The inverse of the standard deviation of each sample, and residuals in its units.
+    rows : (10, BLOCK) float32 array
+    places : (3, BLOCK) int64 array
+    """
+
+    samples: Array
+    fits: Array
+    found: Array
+    quantiles: Array
+    some: Array
+    fit: Array
+    noise: Array
+    rows: Array
+    places: Array
+
+
+def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Compile a function when it is first called; kept on disk for the next process.
+
+    A product and a sum may be rounded once instead of twice (`contract`); nothing else that changes
+    a result is allowed, least of all a guess about NaN.  What is compiled makes no arrays, and so
+    needs not count who uses them (`_nrt`): that counting took half of the time.
+    """
+    # numba goes by the date of a function's own file, but what is compiled holds code and constants
+    # of others too.  Where the folder cannot be written, numba takes the user's cache.
+    settings: Any = numba.config
+    chosen = settings.CACHE_DIR
+    settings.CACHE_DIR = str(Path(chosen or Path(__file__).parent / "__pycache__") / f"kernels-{_SOURCES}")
+    options: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract"}, "_nrt": False}
+    try:
+        made: Callable[..., Any] = numba.njit(nogil=True, cache=True, **options)(function)
+    finally:
+        settings.CACHE_DIR = chosen
+    return made
+
+
+def _digest() -> str:
+    """Of all that compiled code is made from."""
+    own = (f"compiled_{name}.py" for name in ("fits", "reweighting", "solutions", "development", "delivery"))
+    files = map(
+        Path(__file__).with_name,
+        (*own, "strips.py", "kernels.py", "algorithms.py", "least_squares.py", "robust_fitting.py"),
+    )
+    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:12]
+
+
+_SOURCES = _digest()
+
+
+@compiled
+def copy(source: Array, target: Array) -> None:
+    """Copy one row of numbers to another; an assignment of slices would make an array in between."""
+    for p in range(len(target)):
+        target[p] = source[p]
+
+
+@compiled
+def normal_equations(samples: Array, fit: Array) -> None:
+    """Sums of ``w l l^T`` and ``w I l`` with the trial weights: `MATRIX` and `RIGHT` of a fit."""
+    for k in range(MATRIX, DETERMINANT):
+        fit[k] = ZERO
+    for i in range(len(samples)):
+        of = samples[i]
+        for p in range(BLOCK):
+            add_sample(of, fit, p)
+
+
+@numba.njit(inline="always")
+def add_sample(of: Array, fit: Array, p: int) -> None:
+    """Add one sample to the normal equations of its pixel."""
+    x, y, z = of[X + p], of[Y + p], of[Z + p]
+    weight = of[TRIAL + p]
+    right = weight * of[VALUE + p]
+    wx, wy, wz = weight * x, weight * y, weight * z
+    fit[MATRIX + p] += wx * x
+    fit[MATRIX + BLOCK + p] += wx * y
+    fit[MATRIX + 2 * BLOCK + p] += wx * z
+    fit[MATRIX + 3 * BLOCK + p] += wy * y
+    fit[MATRIX + 4 * BLOCK + p] += wy * z
+    fit[MATRIX + 5 * BLOCK + p] += wz * z
+    fit[RIGHT + p] += right * x
+    fit[RIGHT + BLOCK + p] += right * y
+    fit[RIGHT + 2 * BLOCK + p] += right * z
+
+
+@compiled
+def inverted(fit: Array) -> None:
+    """Put the inverse in the place of `MATRIX`, and `SCALED` = inverse times `RIGHT`.
+
+    The matrix is first scaled to a trace of 1, so that weights in any unit neither overflow nor
+    vanish.
+    """
+    for p in range(BLOCK):
+        xx, xy, xz = fit[MATRIX + p], fit[MATRIX + BLOCK + p], fit[MATRIX + 2 * BLOCK + p]
+        yy, yz, zz = fit[MATRIX + 3 * BLOCK + p], fit[MATRIX + 4 * BLOCK + p], fit[MATRIX + 5 * BLOCK + p]
+        unit = ONE / max(xx + yy + zz, TINY)
+        xx, xy, xz, yy, yz, zz = xx * unit, xy * unit, xz * unit, yy * unit, yz * unit, zz * unit
+        ixx, ixy, ixz = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
+        iyy, iyz, izz = xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy
+        found = xx * ixx + xy * ixy + xz * ixz
+        fit[DETERMINANT + p] = found
+        scale = unit / max(found, TINY)
+        fit[MATRIX + p], fit[MATRIX + BLOCK + p] = ixx * scale, ixy * scale
+        fit[MATRIX + 2 * BLOCK + p], fit[MATRIX + 3 * BLOCK + p] = ixz * scale, iyy * scale
+        fit[MATRIX + 4 * BLOCK + p], fit[MATRIX + 5 * BLOCK + p] = iyz * scale, izz * scale
+        fit[SCALED + p], fit[SCALED + BLOCK + p], fit[SCALED + 2 * BLOCK + p] = ZERO, ZERO, ZERO
+    corrected(fit)
+
+
+@compiled
+def corrected(fit: Array) -> None:
+    """Add inverse times `RIGHT` to `SCALED`."""
+    for p in range(BLOCK):
+        xx, xy, xz = fit[MATRIX + p], fit[MATRIX + BLOCK + p], fit[MATRIX + 2 * BLOCK + p]
+        yy, yz, zz = fit[MATRIX + 3 * BLOCK + p], fit[MATRIX + 4 * BLOCK + p], fit[MATRIX + 5 * BLOCK + p]
+        x, y, z = fit[RIGHT + p], fit[RIGHT + BLOCK + p], fit[RIGHT + 2 * BLOCK + p]
+        fit[SCALED + p] += xx * x + xy * y + xz * z
+        fit[SCALED + BLOCK + p] += xy * x + yy * y + yz * z
+        fit[SCALED + 2 * BLOCK + p] += xz * x + yz * y + zz * z
+
+
+@numba.njit(inline="always")
+def missed_by(of: Array, fit: Array, p: int) -> Any:
+    """What a sample shows beyond a fit."""
+    shown = of[X + p] * fit[SCALED + p] + of[Y + p] * fit[SCALED + BLOCK + p]
+    return of[VALUE + p] - (shown + of[Z + p] * fit[SCALED + 2 * BLOCK + p])
+
+
+@compiled
+def refined(samples: Array, fit: Array) -> None:
+    """One step of iterative refinement: single precision becomes as good as double would be."""
+    for k in range(RIGHT, DETERMINANT):
+        fit[k] = ZERO
+    for i in range(len(samples)):
+        of = samples[i]
+        for p in range(BLOCK):
+            missed = of[TRIAL + p] * missed_by(of, fit, p)
+            fit[RIGHT + p] += missed * of[X + p]
+            fit[RIGHT + BLOCK + p] += missed * of[Y + p]
+            fit[RIGHT + 2 * BLOCK + p] += missed * of[Z + p]
+    corrected(fit)

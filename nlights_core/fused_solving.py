@@ -1,0 +1,272 @@
+"""The normal stage in one go: the photographs' numbers become the stage's images strip by strip.
+
+What `nlights_core.solving` does with bands of arrays, for the solvers that have a kernel, with the
+same results.  One thread reads strips of rows and hands finished ones out, the others work on them;
+how many strips there are at a time bounds the memory.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from nlights_core import compiled_fits
+from nlights_core.agreement import AgreementMeter
+from nlights_core.band_threads import cores, in_order
+from nlights_core.compiled_delivery import solve_strip
+from nlights_core.compiled_development import COUNTED, SCRATCH, develop
+from nlights_core.compiled_fits import BLOCK
+from nlights_core.development import Band, Darkroom, Exposure, grey_shares
+from nlights_core.fields import LightField
+from nlights_core.frames import Array
+from nlights_core.images import EYE
+from nlights_core.kernels import Images, Kernel, scratch
+from nlights_core.least_squares import UsableLights
+from nlights_core.plates import Plate
+from nlights_core.strips import Blocks, Optics, Strip
+
+STRIP = 1 << 19
+"""Pixels of a strip, about: what is kept of it stays in the processor's outer cache."""
+
+
+@dataclass(frozen=True)
+class FusedSolver:
+    """Solves a tile in strips.
+
+    Parameters
+    ----------
+    room : Darkroom
+        The open photographs.
+    solver : UsableLights
+        A solver that has a kernel.
+    kernel : Kernel
+        Its kernel.
+    lights : LightField
+        Without ambient light.
+    plate : Plate
+        What a flat plate reads.
+    height : (H, W) array or None
+        Height of the pass before, mm.
+    shadow : float
+        Share of the brightest sample below which one is counted as shadow.
+    """
+
+    room: Darkroom
+    solver: UsableLights
+    kernel: Kernel
+    lights: LightField
+    plate: Plate
+    height: Array | None
+    shadow: float
+
+    def strips(self, meter: AgreementMeter) -> Iterator[tuple[int, int, Images]]:
+        """Solve all strips from top to bottom, then check the exposures.
+
+        Parameters
+        ----------
+        meter : AgreementMeter
+            Is shown some pixels at the end.
+
+        Yields
+        ------
+        start, stop : int
+            The rows.
+        images : Images
+            Good until the next strip is asked for.
+
+        Raises
+        ------
+        TileError
+            When a photograph is black or saturated throughout, or cannot be read.
+        """
+        seen: list[Strip] = []
+        for start, images, pixels, totals in in_order(self._solved, self._read(meter, seen)):
+            self._account(pixels, totals)
+            yield start, start + len(images.normals), images
+        self.room.check()
+        meter.look(self._sample(_joined(seen)))
+
+    def _account(self, pixels: int, totals: Array) -> None:
+        """Take a strip's sums over its pixels inside the mask into the account of the exposures."""
+        names = [*self.room.photographs, "dark"][: self._count]
+        for name, (grey, saturated) in zip(names, totals.sum(axis=-1, dtype=np.float64), strict=True):
+            exposure = self.room.exposures.setdefault(name, Exposure())
+            exposure.pixels += pixels
+            exposure.saturated += int(saturated)
+            exposure.total += float(grey)
+
+    @cached_property
+    def _count(self) -> int:
+        """Photographs, the dark frame included."""
+        return len(self.room.photographs) + (self.room.dark is not None)
+
+    @cached_property
+    def _plain(self) -> bool:
+        """Whether the files' own numbers can be taken."""
+        dark = self.room.dark
+        return all(p.plain for p in (*self.room.photographs.values(), *([dark] if dark else [])))
+
+    def _images(self, rows: int) -> Images:
+        shape, channels = (rows, self.room.grid.columns), self.room.info.channels
+        normals = np.empty((*shape, 3), np.float32)
+        albedo, apparent = np.empty((2, *shape, channels), np.float32)
+        confidence, residual = np.empty((2, *shape), np.float32)
+        used, saturated, shadow = np.empty((3, *shape), np.uint8)
+        return Images(normals, albedo, apparent, confidence, residual, used, saturated, shadow)
+
+    def _read(self, meter: AgreementMeter, seen: list[Strip]) -> Iterator[tuple[int, Strip, Images]]:
+        """Read strips, each with the place for its images; buffers are used again when it is done."""
+        grid, info = self.room.grid, self.room.info
+        rows = max(1, min(grid.rows, STRIP // grid.columns))
+        # `in_order` has one strip a core under way when it asks for another.
+        spare = cores() + 1
+        kind = info.dtype if self._plain else np.dtype(np.float32)
+        numbers = np.empty((spare, self._count, rows, info.columns * info.channels), kind)
+        images = [self._images(rows) for _ in range(spare)]
+        for turn, start in enumerate(range(0, grid.rows, rows)):
+            stop = min(start + rows, grid.rows)
+            strip = self._strip(start, stop, numbers[turn % spare])
+            step, view_step = meter.step, self.room.view_step
+            seen.append(_thinned(strip, -start % step, step // 2, step))
+            self._view(_thinned(strip, -start % view_step, 0, view_step))
+            yield start, strip, Images(*(image[: stop - start] for image in images[turn % spare]))
+
+    def _strip(self, start: int, stop: int, numbers: Array) -> Strip:
+        """Read rows of all photographs into a buffer."""
+        room = self.room
+        photographs = [*room.photographs.values(), *([room.dark] if room.dark else [])]
+        for buffer, photograph in zip(numbers, photographs, strict=True):
+            out = buffer[: stop - start].reshape(stop - start, -1, room.info.channels)
+            if self._plain:
+                photograph.numbers(start, stop, out)
+            else:
+                out[:] = photograph.band(start, stop)
+        inside, height = np.empty((0, 0), np.uint8), np.empty((0, 0), np.float32)
+        if room.mask is not None:
+            inside = (room.mask.band(start, stop).max(axis=-1) > 0).astype(np.uint8)
+        if self.height is not None:
+            height = np.array(self.height[start:stop], np.float32)
+        x, y = room.grid.x().astype(np.float32), room.grid.y(start, stop).astype(np.float32)
+        return Strip(numbers, inside, height, x, y)
+
+    def _view(self, strip: Strip) -> None:
+        shape = (self._count, len(strip.y), len(strip.x), self.room.info.channels)
+        light = strip.numbers.reshape(shape) * self.optics.scale[0]
+        lamps = len(self.room.photographs)
+        self.room.add_view(light[:lamps] - light[lamps:] if self._count > lamps else light)
+
+    def _solved(self, task: tuple[int, Strip, Images]) -> tuple[int, Images, int, Array]:
+        """Solve a strip: its first row, images, pixels inside the mask, and totals of the photographs."""
+        start, strip, images = task
+        work = scratch(len(self.lights.lamps))
+        blocks = self._blocks(work.samples)
+        limits = (np.float32(self.shadow), np.float32(self.solver.shadow), float(self.solver.condition))
+        solve_strip(strip, self.optics, *limits, self.kernel == "robust", blocks, work, images)
+        pixels = np.count_nonzero(strip.inside) if strip.inside.size else images.residual.size
+        return start, images, int(pixels), blocks.totals[: self._count]
+
+    def _sample(self, strip: Strip) -> Band:
+        """Some pixels as a solver sees them."""
+        rows, columns = len(strip.y), len(strip.x)
+        lamps = len(self.lights.lamps)
+        count = rows * -(-columns // BLOCK)
+        blocks = self._blocks(np.empty((count, lamps, compiled_fits.SAMPLE), np.float32))
+        develop(strip, self.optics, 0, np.float32(self.shadow), blocks)
+
+        def plane(offset: int) -> Array:
+            planes = blocks.samples[..., offset : offset + BLOCK].reshape(rows, -1, lamps, BLOCK)
+            return np.moveaxis(planes, 2, 0).reshape(lamps, rows, -1)[..., :columns]
+
+        grey, weights = plane(compiled_fits.VALUE), plane(compiled_fits.USABLE)
+        rays = np.stack([plane(k) for k in (compiled_fits.X, compiled_fits.Y, compiled_fits.Z)], axis=-1)
+        saturated = np.zeros(grey.shape, bool)
+        return Band(0, rows, grey[..., None], weights, saturated, rays, None, grey)
+
+    def _blocks(self, samples: Array) -> Blocks:
+        size, lamps, _ = samples.shape
+        return Blocks(
+            samples,
+            np.empty((size, lamps, 3 * BLOCK), np.float32),
+            np.empty((size, COUNTED), np.float32),
+            np.zeros((lamps + 1, 2, BLOCK), np.float32),
+            np.zeros(SCRATCH, np.float32),
+        )
+
+    def _scale(self) -> tuple[float, float, float]:
+        """Light per number, the number at which the sensor saturates, and the largest light there is."""
+        info = self.room.info
+        limited = bool(np.isfinite(info.saturation))
+        if not self._plain:
+            return 1.0, 1.0 if limited else np.inf, np.inf
+        if limited:
+            return 1 / info.saturation, info.saturation, np.inf
+        return 1 / (256.0**info.dtype.itemsize - 1), np.inf, float(np.nextafter(np.float32(1), np.float32(0)))
+
+    @cached_property
+    def optics(self) -> Optics:
+        """What is the same for all pixels."""
+        room, lights, plate = self.room, self.lights, self.plate
+        channels = room.info.channels
+        mix = grey_shares(channels, plate)
+        eye = EYE if channels > 1 else np.ones(1)
+        power = np.broadcast_to(lights.power, (len(lights.lamps), channels))
+        lamps = np.zeros((len(power), 4, 3))
+        for lamp, p in zip(lamps, power, strict=True):
+            lamp[:, :channels] = 1 / p, mix, mix**2 * room.noise.gain / p, eye
+        places = lights.positions
+        if places is None:
+            assert lights.directions is not None
+            places = lights.directions / lights.directions[:, 2:]
+        exponents = np.broadcast_to(-plate.logarithm / np.log(2), (*plate.logarithm.shape[:3], 3))
+        lens = (0.0, 0.0, 0.0, 0.0)
+        if plate.camera is not None:
+            x, y, z = plate.camera
+            lens = (x, y, z**-2, 4 * plate.vignetting / np.log(2))
+        constant = room.noise.readout.mean() / (room.noise.gain.mean() ** 2 * np.sum(mix**2))
+
+        def single(values: Any) -> Array:
+            return np.ascontiguousarray(values, np.float32)
+
+        return Optics(
+            scale=single(self._scale()),
+            lamps=single(lamps),
+            positions=single(places),
+            near=single([lights.near]),
+            camera=single(room.grid.camera or (0.0, 0.0, np.inf)),
+            plate=single(np.moveaxis(exponents, -1, 1).reshape(len(lamps), -1)),
+            plate_shape=plate.logarithm.shape[1:3],
+            place=single([plate.left, plate.top, plate.step]),
+            lens=single(lens),
+            limits=single([1e6 / plate.brightest, constant]),
+        )
+
+
+def _thinned(strip: Strip, row: int, column: int, step: int) -> Strip:
+    """Every so many pixels of a strip, copied."""
+    count, columns = len(strip.numbers), len(strip.x)
+    channels = strip.numbers.shape[2] // columns
+    here = (slice(row, len(strip.y), step), slice(column, None, step))
+    numbers = strip.numbers.reshape(count, -1, columns, channels)[:, *here]
+    return Strip(
+        numbers.reshape(count, numbers.shape[1], numbers.shape[2] * channels).copy(),
+        strip.inside[here].copy(),
+        strip.height[here].copy(),
+        strip.x[here[1]].copy(),
+        strip.y[here[0]].copy(),
+    )
+
+
+def _joined(strips: list[Strip]) -> Strip:
+    """Strips below each other as one."""
+    numbers, inside, height, x, y = zip(*strips, strict=True)
+    return Strip(
+        np.concatenate(numbers, axis=1),
+        np.concatenate(inside),
+        np.concatenate(height),
+        x[0],
+        np.concatenate(y),
+    )

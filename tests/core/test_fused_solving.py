@@ -1,0 +1,190 @@
+"""The fused normal stage: it finds what the stage in bands of numpy arrays finds."""
+
+import json
+
+import numpy as np
+import pytest
+import tifffile
+
+from nlights_core import fused_solving, kernels, solving
+from nlights_core.capture import Encoding
+from nlights_core.configurations import load_stand
+from nlights_core.development import darkroom
+from nlights_core.errors import TileError
+from nlights_core.fields import LightField
+from nlights_core.manifest import load_capture
+from nlights_core.plates import Plate, continued
+from nlights_core.testing.simulation import simulate
+from nlights_plugins.least_squares import LeastSquares
+from nlights_plugins.robust import Robust
+
+pytest.importorskip("numba")
+
+FILES = ("normals", "albedo", "apparent", "confidence", "residual", "used", "saturated", "shadow", "frames")
+STAND = load_stand("horizontal")
+
+
+@pytest.fixture(scope="module")
+def tile(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("capture")
+    simulate(folder, STAND, scene="painting", width=200, varnish=True, seed=2)
+    return load_capture(folder)[0]
+
+
+def near(tile) -> LightField:
+    power = 1 + 0.05 * np.arange(8)[:, None] * np.array([1, 0.9, 1.1])
+    return LightField(tile.lamps, positions=STAND.lamp_positions(), power=power)
+
+
+def plate(tile, channels: int = 3) -> Plate:
+    """Roughly what the flats show, made of the lamps' geometry, seen through a lens that vignettes."""
+    x, y = np.linspace(-248, 248, 62), np.linspace(186, -186, 46)
+    points = np.stack([*np.meshgrid(x, y), np.zeros((46, 62))])
+    lamps = LightField(tile.lamps, positions=STAND.lamp_positions())
+    reading = 0.4 * lamps.vectors(points)[..., 2:] * np.array([1, 0.9, 0.7])[:channels]
+    found = continued(reading.astype(np.float32), x, y, float(x[1] - x[0]))
+    return Plate(found.logarithm, found.left, found.top, found.step, (20.0, -10.0, 1500.0), 0.7)
+
+
+def height(tile) -> np.ndarray:
+    waves = np.sin(np.arange(200) / 20) * np.cos(np.arange(150) / 15)[:, None]
+    waves[3, 5] = np.nan
+    return (4 * waves).astype(np.float32)
+
+
+def found(tile, solver, lights, flat, surface, folder, bias=None) -> dict[str, np.ndarray]:
+    folder.mkdir()
+    with darkroom(tile, folder) as room:
+        solving.solve(room, solver, lights, flat, surface, folder, lambda share: None, bias)
+        account = [(e.pixels, e.saturated, e.total) for e in room.exposures.values()]
+    agreement = json.loads((folder / "agreement.json").read_text())
+    images = {name: np.load(folder / f"{name}.npy") for name in FILES}
+    return images | {"account": np.array(account), "held_out": np.array(agreement["held_out"])}
+
+
+def compare(tile, tmp_path, monkeypatch, *, solver=None, lights=None, flat=None, surface=None, bias=None):
+    """Both ways to solve, after a look at whether both were gone."""
+    given = (solver or LeastSquares(), lights or near(tile), flat or plate(tile), surface)
+    strips = fused_solving.FusedSolver.strips
+    calls = []
+    monkeypatch.setattr(
+        fused_solving.FusedSolver, "strips", lambda self, meter: calls.append(self) or strips(self, meter)
+    )
+    monkeypatch.delenv(kernels.SWITCH, raising=False)
+    fused = found(tile, *given, tmp_path / "fused", bias)
+    monkeypatch.setenv(kernels.SWITCH, "off")
+    plain = found(tile, *given, tmp_path / "plain", bias)
+    assert len(calls) == 1
+    for name in ("used", "saturated", "shadow"):
+        np.testing.assert_array_equal(fused[name], plain[name], name)
+    for name in ("normals", "albedo", "apparent", "residual", "frames", "account", "held_out"):
+        np.testing.assert_allclose(fused[name], plain[name], rtol=1e-4, atol=1e-5, err_msg=name)
+    np.testing.assert_allclose(fused["confidence"], plain["confidence"], rtol=1e-3)
+    return plain
+
+
+def rewritten(tile, folder, change):
+    """The tile with other photographs."""
+
+    def written(path, name):
+        numbers = change(tifffile.imread(path))
+        kind = "rgb" if numbers.ndim == 3 else "minisblack"
+        tifffile.imwrite(folder / name, numbers, photometric=kind)
+        return folder / name
+
+    frames = {lamp: written(path, f"{lamp}.tif") for lamp, path in tile.frames.items()}
+    return tile.model_copy(update={"frames": frames, "flats": None, "dark": written(tile.dark, "dark.tif")})
+
+
+@pytest.mark.parametrize("solver", [LeastSquares(), LeastSquares(shadow=0.3, condition=3.0)])
+@pytest.mark.parametrize("surface", [None, height])
+def test_it_finds_what_bands_find(tile, tmp_path, monkeypatch, solver, surface):
+    plain = compare(tile, tmp_path, monkeypatch, solver=solver, surface=surface and surface(tile))
+    assert np.isfinite(plain["normals"]).mean() > 0.5
+
+
+def test_with_the_robust_solver_nearly_all_pixels_are_alike(tile, tmp_path, monkeypatch):
+    # A residual that rounding puts on the other side of a limit changes the weights of its pixel.
+    monkeypatch.delenv(kernels.SWITCH, raising=False)
+    given = (tile, Robust(), near(tile), plate(tile), height(tile))
+    fused = found(*given, tmp_path / "fused")
+    monkeypatch.setenv(kernels.SWITCH, "off")
+    plain = found(*given, tmp_path / "plain")
+    for name in ("normals", "albedo", "residual", "used"):
+        alike = np.isclose(fused[name], plain[name], rtol=1e-3, atol=1e-4, equal_nan=True)
+        assert alike.mean() > 0.9995, name
+
+
+def test_strips_of_few_rows_give_the_same_bits(tile, tmp_path, monkeypatch):
+    given = (tile, Robust(), near(tile), plate(tile), height(tile))
+    whole = found(*given, tmp_path / "whole")
+    monkeypatch.setattr(fused_solving, "STRIP", 7 * 200)
+    strips = found(*given, tmp_path / "strips")
+    for name in FILES:
+        assert whole[name].tobytes() == strips[name].tobytes(), name
+
+
+def test_outside_the_mask_nothing_is_known(tile, tmp_path, monkeypatch):
+    mask = np.zeros((150, 200), np.uint8)
+    mask[20:90, 30:190] = 255
+    tifffile.imwrite(tmp_path / "mask.tif", mask)
+    masked = tile.model_copy(update={"mask": tmp_path / "mask.tif"})
+    plain = compare(masked, tmp_path, monkeypatch)
+    assert np.isnan(plain["normals"][mask == 0]).all()
+
+
+def test_without_a_dark_frame(tile, tmp_path, monkeypatch):
+    compare(tile.model_copy(update={"dark": None}), tmp_path, monkeypatch)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda numbers: numbers[..., 1],
+        lambda numbers: (numbers >> 8).astype(np.uint8),
+        lambda numbers: (numbers / 65535).astype(np.float32),
+        lambda numbers: numbers.astype(">u2"),
+    ],
+    ids=["grey", "8 bit", "float", "big endian"],
+)
+def test_photographs_of_other_kinds(tile, tmp_path, monkeypatch, change):
+    other = rewritten(tile, tmp_path, change)
+    channels = 1 if tifffile.imread(other.dark).ndim == 2 else 3
+    lights = LightField(tile.lamps, positions=STAND.lamp_positions())
+    compare(other, tmp_path, monkeypatch, lights=lights, flat=plate(tile, channels))
+
+
+@pytest.mark.parametrize(
+    "encoding",
+    [Encoding(saturation=20_000), Encoding(saturation="none"), Encoding(transfer="srgb")],
+    ids=["low level", "no level", "tone curve"],
+)
+def test_other_encodings(tile, tmp_path, monkeypatch, encoding):
+    compare(tile.model_copy(update={"encoding": encoding}), tmp_path, monkeypatch, surface=height(tile))
+
+
+def test_distant_lamps(tile, tmp_path, monkeypatch):
+    directions = STAND.lamp_positions() / np.linalg.norm(STAND.lamp_positions(), axis=1, keepdims=True)
+    lights = LightField(tile.lamps, directions=directions)
+    compare(tile, tmp_path, monkeypatch, lights=lights, surface=height(tile))
+
+
+def test_a_bias_is_removed(tile, tmp_path, monkeypatch):
+    bias = np.zeros((150, 200, 3), np.float32)
+    bias[..., 0] = 0.02
+    compare(tile, tmp_path, monkeypatch, bias=bias)
+
+
+def test_a_black_photograph_is_refused(tile, tmp_path):
+    black = rewritten(tile, tmp_path, np.zeros_like)
+    with pytest.raises(TileError, match="all black"):
+        found(black, Robust(), near(tile), plate(tile), None, tmp_path / "out")
+
+
+def test_a_solver_derived_from_a_bundled_one_does_its_own_work():
+    class Cautious(Robust):
+        def solve(self, images, lights, weights):
+            return super().solve(images, lights, weights * 0.5)
+
+    assert kernels.kernel_of(Robust()) == "robust"
+    assert kernels.kernel_of(Cautious()) is None
