@@ -2,7 +2,7 @@
 PYTHON_IN = .venv/bin
 READY = .venv/.ready
 
-.PHONY: demo test lint package check format clean
+.PHONY: bench demo test lint package check docs format clean
 
 demo: $(READY) ## a simulated capture of the horizontal stand, measured from photographs to report
 	@rm -rf demo/capture
@@ -24,7 +24,14 @@ lint: $(READY) ## style, types, layers
 package: $(READY) ## the wheel, in a clean environment, with the example plugin and every recipe
 	$(PYTHON_IN)/python tests/package_check.py
 
+bench: $(READY) ## the chain against what its bytes cost, up to 102 megapixels (some 15 minutes, 35 GB)
+	cd benchmarks && ../$(PYTHON_IN)/python full_size.py
+
 check: lint test package ## what CI runs
+
+docs: $(READY) ## docs/ as a site in build/docs; a link that leads nowhere is an error
+	$(PYTHON_IN)/python -m sphinx -b html -W --keep-going -n -q docs build/docs
+	@echo "Look at build/docs/README.html"
 
 format: $(READY)
 	$(PYTHON_IN)/ruff check --fix .

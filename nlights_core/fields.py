@@ -199,7 +199,7 @@ class NormalField:
         """
         steepest = np.float32(np.tan(np.radians(steepest_deg)))
         n = self.normals
-        with np.errstate(divide="ignore", invalid="ignore"):
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             across = -n[..., 0] / n[..., 2]
             down = n[..., 1] / n[..., 2]
             slope = np.hypot(across, down)

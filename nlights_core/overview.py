@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from nlights_core import verbs
 from nlights_core.algorithms import HeightDetrend, Integrator, NormalSolver
 from nlights_core.arrays import BandWriter
 from nlights_core.block_means import block_means
@@ -23,7 +24,6 @@ from nlights_core.levelling import Level, level
 from nlights_core.noise import Noise
 from nlights_core.plates import Plate
 from nlights_core.solving import solved
-from nlights_core.verification import checked_array, checked_height
 
 COLUMNS = 500
 """About how many blocks an overview is wide, or more."""
@@ -139,11 +139,9 @@ def overview(
         if bias is not None:
             normals = normals - bias
             normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
-        surface = integrator.integrate(NormalField(normals, room.grid, confidence))
-        height = checked_height(integrator, surface, room.grid.shape)
+        height = verbs.integrate(integrator, NormalField(normals, room.grid, confidence))
         if detrend is not None:
-            trend = detrend.trend(HeightMap(height, room.grid))
-            height = height - checked_array(detrend, "the trend", trend, room.grid.shape)
+            height = height - verbs.trend(detrend, HeightMap(height, room.grid))
         if levels and plate is not None:
             found = level(room, lights, plate, height, found.strengths)
             height = height + np.float32(found.offset)

@@ -32,7 +32,8 @@ def maps(
     of the camera.  ``compression`` is that of the TIFFs, "none" or "zstd".
     """
     inputs = {"normals": normals, "height": height, "trend": trend, "integrated": integrated}
-    facts: dict[str, Any] = {"white_reflectance": tile.white_reflectance if white else None, "perspective": perspective}
+    reflectance = tile.white_reflectance if white else None
+    facts: dict[str, Any] = {"white_reflectance": reflectance, "perspective": perspective}
     if compression != "none":
         facts["compression"] = compression
     ref, record = describe("maps", tile.artwork, tile.name, inputs=inputs, facts=facts)

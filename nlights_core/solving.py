@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from nlights_core import verbs
 from nlights_core.agreement import AgreementMeter, write_agreement
 from nlights_core.algorithms import NormalSolver, Solution
 from nlights_core.arrays import BandWriter, write_array
@@ -26,7 +27,6 @@ from nlights_core.kernels import Images, kernel_of
 from nlights_core.least_squares import UsableLights
 from nlights_core.plates import Plate
 from nlights_core.store import Progress
-from nlights_core.verification import checked_solution
 
 SHADOW = 0.02
 """A light that shows less than this share of what the brightest one shows is counted as shadow."""
@@ -138,12 +138,11 @@ def _by_bands(
 def solved(solver: NormalSolver, band: Band) -> Solution:
     """Solve a band; where there is ambient light, subtract its share and solve again."""
     images = band.grey
-    found = checked_solution(solver, solver.solve(images, band.lights, band.weights), images.shape)
+    found = verbs.solve(solver, images, band.lights, band.weights)
     if band.ambient is not None:
         for _ in range(AMBIENT_ROUNDS):
             share = band.ambient * np.nan_to_num(found.albedo)
-            again = solver.solve(images - share, band.lights, band.weights)
-            found = checked_solution(solver, again, images.shape)
+            found = verbs.solve(solver, images - share, band.lights, band.weights)
     return found
 
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from nlights_core import levelling, solving
+from nlights_core import levelling, solving, verbs
 from nlights_core.algorithms import (
     HeightDetrend,
     ImageDetrend,
@@ -42,7 +42,6 @@ from nlights_core.product_stages import maps, mesh, report
 from nlights_core.refinement import refined
 from nlights_core.store import ArtefactRef, Progress, Store, Work, describe
 from nlights_core.surveys import grid_of, survey
-from nlights_core.verification import checked_array, checked_height, checked_plate
 
 __all__ = [
     "bias",
@@ -133,17 +132,7 @@ def lights(store: Store, tile: Tile, model: LightModel) -> Work:
                 with Photograph(path, tile.encoding, scratch) as photograph:
                     return reduced(photograph, reduce, keep_saturated=True)
 
-            field = model.locate(tile, read)
-            if not isinstance(field, LightField):
-                raise TileError(
-                    f"light_model: {model.name} should return a LightField; got {type(field).__name__}; report it "
-                    "to its author"
-                )
-            if field.lamps != tile.lamps:
-                raise TileError(
-                    f"{tile.artwork}/{tile.name}: light_model: {model.name} found lights for "
-                    f"{', '.join(field.lamps)}, but the frames are of {', '.join(tile.lamps)}"
-                )
+            field = verbs.locate(model, tile, read)
             if model.refine:
                 field = refined(tile, field, model.prior, scratch)
         _write_json(folder / "lights.json", field.record())
@@ -180,8 +169,7 @@ def plate(store: Store, tile: Tile, detrend: ImageDetrend, lights: ArtefactRef) 
                 flats = means.images / field.power.astype(np.float32)[:, None, None, :]
                 flats[means.saturated] = np.nan
                 write_noise(folder, room.noise)
-        shape = (len(field.lamps), len(y), len(x))
-        reading = checked_plate(detrend, detrend.plate(flats, field, x, y), shape, info.channels)
+        reading = verbs.plate(detrend, flats, field, x, y, info.channels)
         found = continued(reading, x, y, block * grid.pixel_size)
         if flats is not None and tile.stand is not None and field.near:
             check = check_flat(flats, tile.stand, field.lamps, x, y)
@@ -219,8 +207,7 @@ def bias(
         with store.scratch() as scratch, darkroom(tile, scratch, flats=True) as room:
             solving.solve(room, solver, field, flat, None, scratch, progress)
             reference = NormalField(read_array(scratch / "normals.npy"), room.grid)
-            found = checked_array(detrend, "the bias", detrend.bias(reference), (*room.grid.shape, 3))
-            write_array(folder / "bias.npy", found)
+            write_array(folder / "bias.npy", verbs.bias(detrend, reference))
 
     return Work(ref, record, make)
 
@@ -313,8 +300,7 @@ def height(store: Store, tile: Tile, integrator: Integrator, normals: ArtefactRe
         )
         source = store.path(normals)
         field = NormalField(read_array(source / "normals.npy"), grid, read_array(source / "confidence.npy"))
-        found = integrator.integrate(field)
-        write_array(folder / "height.npy", checked_height(integrator, found, grid.shape))
+        write_array(folder / "height.npy", verbs.integrate(integrator, field))
 
     return Work(ref, record, make)
 
@@ -326,8 +312,7 @@ def trend(store: Store, tile: Tile, detrend: HeightDetrend, height: ArtefactRef)
     def make(folder: Path, progress: Progress) -> None:
         grid = grid_of(tile, survey(tile))
         before = read_array(store.path(height) / "height.npy")
-        found = detrend.trend(HeightMap(before, grid))
-        removed = checked_array(detrend, "the trend", found, grid.shape)
+        removed = verbs.trend(detrend, HeightMap(before, grid))
         write_array(folder / "trend.npy", removed)
         with BandWriter(folder / "height.npy", before.shape) as file:
             for start, stop in bands(grid, 12):

@@ -12,6 +12,7 @@ import typer
 
 from nlights_core import __version__
 from nlights_core.errors import NlightsError
+from nlights_flows import compare_command, plugin_commands
 
 INTERRUPTED = 130
 
@@ -210,6 +211,12 @@ def digitise(
             metavar="SIZE", help="Memory that a tile may take, as 6GiB; half of the machine's by default."
         ),
     ] = None,
+    timeout: Annotated[
+        float | None,
+        typer.Option(
+            metavar="SECONDS", min=1, help="Stop a stage that takes longer; its tile fails, the others go on."
+        ),
+    ] = None,
 ) -> None:
     """Turn the photographs of an artwork into measured surfaces.
 
@@ -239,6 +246,7 @@ def digitise(
             root=str(root) if root else None,
             tiles=tile,
             compression=compression.value,
+            timeout=timeout,
             return_state=True,
         )
         outcomes = state.data if isinstance(state.data, list) else state.result(raise_on_failure=False)
@@ -248,7 +256,7 @@ def digitise(
         outcomes = []
         with console.TileProgress(chosen, tiles) as watch:
             for one in tiles:
-                outcomes.append(run_directly(one, chosen, kept, out, watch, compression.value))
+                outcomes.append(run_directly(one, chosen, kept, out, watch, compression.value, timeout))
                 watch.tile_done(outcomes[-1])
     console.show_outcomes(outcomes)
     raise typer.Exit(exit_code(outcomes))
@@ -262,25 +270,6 @@ def _allow(memory: str) -> None:
         os.environ[VARIABLE] = str(parse_size(memory))
     except ValueError as fault:
         raise typer.BadParameter(str(fault), param_hint="--memory") from None
-
-
-@app.command()
-def plugins(
-    schema: Annotated[
-        bool, typer.Option("--schema", help="Print the JSON schema of a recipe over what is installed.")
-    ] = False,
-) -> None:
-    """List the algorithms that are installed, by slot, with the distribution they come from."""
-    import json
-
-    from nlights_core.recipe import recipe_schema
-    from nlights_core.registry import installed
-    from nlights_flows import console
-
-    if schema:
-        print(json.dumps(recipe_schema(), indent=1))
-    else:
-        console.show_plugins(installed())
 
 
 @app.command()
@@ -408,6 +397,10 @@ def _prepared(
     if all(lacking):
         raise CaptureError("\n".join(f"{artwork}: {sentence}" for sentence in lacking[0]))
     return chosen, chosen_tiles, Store(store or out / ".store")
+
+
+compare_command.register(app)
+plugin_commands.register(app)
 
 
 def main() -> None:

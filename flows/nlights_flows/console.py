@@ -196,6 +196,11 @@ def _value(row: dict[str, Any] | None) -> str:
     return row.get("missing", "not measured") if row["value"] is None else f"{row['value']:.4g}"
 
 
+def show_table(table: Table) -> None:
+    """Print a table."""
+    _wide().print(table)
+
+
 def _wide() -> Console:
     """A console that does not cut tables when its output goes to a file."""
     return console if console.is_terminal else Console(highlight=False, width=160)

@@ -19,6 +19,7 @@ from nlights_core.capture import Tile
 from nlights_core.manifest import load_capture
 from nlights_core.recipe import load_recipe
 from nlights_core.store import ArtefactRef, Store, make_writable
+from nlights_flows import isolation
 from nlights_flows.running import Outcome, exit_code, explained, run_tile
 
 LASTING = {errno.ENOSPC, errno.EDQUOT, errno.ENOENT, errno.EACCES, errno.EPERM, errno.EROFS}
@@ -43,8 +44,10 @@ def _may_pass(task: Any, task_run: TaskRun, state: State[Any]) -> bool:
     retry_delay_seconds=[5, 30],
     retry_condition_fn=_may_pass,
 )
-def run_stage(name: str, store_root: str, tile: Tile, *arguments: Any) -> Any:
+def run_stage(name: str, store_root: str, tile: Tile, *arguments: Any, timeout: float | None = None) -> Any:
     """Run one stage of one tile; only references come in and go out.
+
+    ``timeout`` and child processes: see `nlights_flows.isolation`.
 
     Returns
     -------
@@ -53,7 +56,7 @@ def run_stage(name: str, store_root: str, tile: Tile, *arguments: Any) -> Any:
     """
     store = Store(Path(store_root))
     work = getattr(stages, name)(store, tile, *arguments)
-    if store.ensure(work):
+    if isolation.ensure(store, work, tile, arguments, timeout=timeout):
         return Completed(name="Cached", data=work.ref)
     return work.ref
 
@@ -68,6 +71,7 @@ def digitise(
     root: str | None = None,
     tiles: list[str] | None = None,
     compression: str = "none",
+    timeout: float | None = None,
 ) -> Any:
     """Digitise the tiles of an artwork.
 
@@ -89,6 +93,8 @@ def digitise(
         Only these tiles.
     compression : str
         Of the TIFFs among the products, "none" or "zstd".
+    timeout : float, optional
+        Seconds that a stage may take; then it is stopped, and its tile has failed.
 
     Returns
     -------
@@ -105,7 +111,7 @@ def digitise(
     for tile in found:
         if tiles and tile.name not in tiles:
             continue
-        outcome = _run_tile(tile, chosen, kept, Path(out), compression)
+        outcome = _run_tile(tile, chosen, kept, Path(out), compression, timeout)
         outcomes.append(outcome)
         if outcome.state == "failed":
             logger.error("%s: %s", tile.name, outcome.message)
@@ -117,14 +123,16 @@ def digitise(
     return Completed(message=message, data=outcomes)
 
 
-def _run_tile(tile: Tile, recipe: Any, store: Store, out: Path, compression: str) -> Outcome:
+def _run_tile(
+    tile: Tile, recipe: Any, store: Store, out: Path, compression: str, timeout: float | None
+) -> Outcome:
     """Run a tile's stages as tasks; a tile's fault is its own."""
     started = time.monotonic()
     made: list[str] = []
 
     def call(stage: Callable[..., Any], tile: Tile, *arguments: Any) -> ArtefactRef:
         named = run_stage.with_options(name=stage.__name__, task_run_name=f"{tile.name} {stage.__name__}")
-        state = named(stage.__name__, str(store.root), tile, *arguments, return_state=True)
+        state = named(stage.__name__, str(store.root), tile, *arguments, timeout=timeout, return_state=True)
         if state.name != "Cached":
             made.append(stage.__name__)
         return state.result()  # type: ignore[no-any-return]

@@ -17,6 +17,7 @@ from nlights_core.publishing import publish
 from nlights_core.recipe import Recipe
 from nlights_core.store import ArtefactRef, Store
 from nlights_core.surveys import survey
+from nlights_flows import isolation
 from nlights_flows.chain import digitise_tile
 
 
@@ -106,9 +107,19 @@ def require_memory(tile: Tile, recipe: Recipe) -> None:
 
 
 def run_directly(
-    tile: Tile, recipe: Recipe, store: Store, out: Path, watch: Watch, compression: str = "none"
+    tile: Tile,
+    recipe: Recipe,
+    store: Store,
+    out: Path,
+    watch: Watch,
+    compression: str = "none",
+    timeout: float | None = None,
 ) -> Outcome:
-    """Run a tile by calling its stages in this process; never raises for what concerns the tile only."""
+    """Run a tile by calling its stages; never raises for what concerns the tile only.
+
+    They run in this process, or each in a child where there is a time-out (seconds) or a plugin of
+    somebody else's: see `nlights_flows.isolation`.
+    """
     started = time.monotonic()
     made: list[str] = []
 
@@ -116,7 +127,11 @@ def run_directly(
         name = stage.__name__
         watch(tile.name, name, 0.0)
         work = stage(store, tile, *arguments)
-        if not store.ensure(work, lambda share: watch(tile.name, name, min(share, 0.99))):
+
+        def told(share: float) -> None:
+            watch(tile.name, name, min(share, 0.99))
+
+        if not isolation.ensure(store, work, tile, arguments, told, timeout):
             made.append(name)
         watch(tile.name, name, 1.0)
         return work.ref  # type: ignore[no-any-return]

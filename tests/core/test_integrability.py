@@ -5,7 +5,6 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from nlights_core.fields import NormalField
 from nlights_core.frames import PixelGrid
 from nlights_core.integrability import AROUND, OWN, integrable_normals, integrable_uncertainty
 from nlights_core.integration import simchony
