@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from nlights_core.images import Photograph
 
 BLOCK = 16
-"""Edge of the blocks, px, within which a photograph's variance about a plane is taken: larger than
+"""Edge of the blocks, px, within which a photograph's variance about a smooth surface is taken: larger than
 the reach of a demosaicing filter, so that noise it has spread over neighbours still counts."""
 
 BLOCKS = 64
@@ -100,7 +100,7 @@ class Noise:
 
 
 def block_statistics(image: Array, usable: Array) -> tuple[Array, Array]:
-    """Mean and variance about a plane in blocks spread over some rows of a photograph.
+    """Mean, and variance about a cubic surface, of blocks spread over some rows of a photograph.
 
     Parameters
     ----------
@@ -119,14 +119,18 @@ def block_statistics(image: Array, usable: Array) -> tuple[Array, Array]:
     across = first[:, None] + np.arange(edge)
     blocks = np.moveaxis(image[:edge][:, across], 1, 0).astype(np.float64)
     kept = usable[:edge][:, across].all(axis=(0, 2))
-    blocks = blocks[kept]
-    means = blocks.mean(axis=(1, 2))
-    ramp = np.arange(edge) - (edge - 1) / 2
-    square = np.sum(ramp**2) * edge
-    down = np.einsum("nijc,i->nc", blocks, ramp) / square
-    side = np.einsum("nijc,j->nc", blocks, ramp) / square
-    left = np.sum((blocks - means[:, None, None]) ** 2, axis=(1, 2)) - (down**2 + side**2) * square
-    return means.reshape(-1, channels), np.maximum(left, 0).reshape(-1, channels) / (edge**2 - 3)
+    blocks = blocks[kept].reshape(-1, edge**2, channels)
+    smooth = _smooth(edge)
+    left = np.sum(blocks**2, axis=1) - np.sum(np.einsum("pk,npc->nkc", smooth, blocks) ** 2, axis=1)
+    freedom = edge**2 - smooth.shape[1]
+    return blocks.mean(axis=1), np.maximum(left, 0) / freedom
+
+
+def _smooth(edge: int) -> Array:
+    """Orthonormal basis of the cubic surfaces over a block, (edge^2, 10): light is smooth, noise is not."""
+    y, x = np.indices((edge, edge), dtype=np.float64) / edge - 0.5
+    terms = [x**a * y**b for a in range(4) for b in range(4 - a)]
+    return np.asarray(np.linalg.qr(np.stack(terms, axis=-1).reshape(edge**2, -1))[0])
 
 
 def measure_noise(
@@ -191,7 +195,7 @@ def fit_noise(means: Array, variances: Array, dark: Array | None, *, smooth: boo
     # Frame and dark frame are read out once each.
     readout = 2 * np.median(dark, axis=0) if dark is not None else np.zeros(means.shape[1])
     level = means.mean(axis=0)
-    freedom = BLOCK**2 - 3
+    freedom = BLOCK**2 - 10
     share = 0.5 if smooth else SMOOTHEST
     gain = np.empty(means.shape[1])
     for c in range(means.shape[1]):

@@ -10,23 +10,30 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
-from nlights_core import verbs
-from nlights_core.algorithms import HeightDetrend, Integrator, NormalSolver
+from nlights_core.algorithms import Solution
 from nlights_core.arrays import BandWriter
 from nlights_core.block_means import block_means
 from nlights_core.development import Darkroom, Raw, bands
-from nlights_core.fields import HeightMap, LightField, NormalField
+from nlights_core.errors import TileError
+from nlights_core.fields import LightField
 from nlights_core.frames import Array, PixelGrid
+from nlights_core.least_squares import UsableLights
 from nlights_core.levelling import Level, level
 from nlights_core.noise import Noise
+from nlights_core.normal_integration import least_squares_height
 from nlights_core.plates import Plate
+from nlights_core.robust_solving import robust_solution
 from nlights_core.solving import solved
 
 COLUMNS = 500
 """About how many blocks an overview is wide, or more."""
+
+STEEPEST_DEG = 70.0
+"""To which slopes are limited: means over blocks are hardly ever so steep."""
 
 ROWS = 4
 """About how many rows of each block are read: their mean is good enough."""
@@ -93,18 +100,22 @@ def reduced_room(room: Darkroom, progress: Callable[[float], None]) -> tuple[Red
     return small, factor
 
 
+class _Solver(UsableLights):
+    """The robust solution, whatever solver the recipe has."""
+
+    name: ClassVar[str] = "overview"
+
+    def solve(self, images: Array, lights: Array, weights: Array) -> Solution:
+        return robust_solution(images, lights, weights, self.shadow, self.condition)
+
+
 def overview(
-    room: ReducedRoom,
-    lights: LightField,
-    plate: Plate | None,
-    bias: Array | None,
-    solver: NormalSolver,
-    integrator: Integrator,
-    detrend: HeightDetrend | None,
-    passes: int,
-    levels: bool,
+    room: ReducedRoom, lights: LightField, plate: Plate | None, passes: int, levels: bool
 ) -> tuple[Array, Level]:
     """Find the height, and what the photographs say of its constant and of the lamps.
+
+    It is found robustly and by plain least squares whatever the recipe says, so that recipes which
+    differ in solver or integrator share it.
 
     Parameters
     ----------
@@ -112,10 +123,6 @@ def overview(
         The photographs.
     lights, plate : LightField, Plate or None
         As for `nlights_core.solving.solve`.
-    bias : (h, w, 3) array or None
-        Subtracted from the normals.
-    solver, integrator, detrend : NormalSolver, Integrator, HeightDetrend or None
-        Those of the recipe.
     passes : int
         How often.
     levels : bool
@@ -127,21 +134,24 @@ def overview(
         NaN where not known.
     level : Level
         Of the last pass.
+
+    Raises
+    ------
+    TileError
+        When no normal could be found.
     """
     height: Array | None = None
     found = Level(0.0, None, np.ones(len(lights.lamps)))
     for _ in range(passes):
         lamps = lights.stronger(found.strengths)
-        parts = [solved(solver, band) for band in room.bands(lamps, plate, height)]
-        normals, confidence = (
-            np.concatenate([getattr(p, n) for p in parts]) for n in ("normals", "confidence")
-        )
-        if bias is not None:
-            normals = normals - bias
-            normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
-        height = verbs.integrate(integrator, NormalField(normals, room.grid, confidence))
-        if detrend is not None:
-            height = height - verbs.trend(detrend, HeightMap(height, room.grid))
+        parts = [solved(_Solver(), band) for band in room.bands(lamps, plate, height)]
+        normals = np.concatenate([part.normals for part in parts])
+        if not np.isfinite(normals).any():
+            raise TileError(
+                "overview: not a single block has three usable lights; see the mask, the saturation level and "
+                "the frames themselves"
+            )
+        height = least_squares_height(normals, room.grid, stencil="6-point", steepest_deg=STEEPEST_DEG)
         if levels and plate is not None:
             found = level(room, lights, plate, height, found.strengths)
             height = height + np.float32(found.offset)

@@ -212,27 +212,14 @@ def bias(
     return Work(ref, record, make)
 
 
-def overview(
-    store: Store,
-    tile: Tile,
-    solver: NormalSolver,
-    integrator: Integrator,
-    lights: ArtefactRef,
-    plate: ArtefactRef | None,
-    bias: ArtefactRef | None,
-    detrend: HeightDetrend | None,
-    passes: int,
-) -> Work:
+def overview(store: Store, tile: Tile, lights: ArtefactRef, plate: ArtefactRef | None, passes: int) -> Work:
     """Height for near light, from reduced photographs: ``height.npy`` and ``level.json``.
 
     See `nlights_core.overview`.
     """
     facts = _photographed(store, tile, "frames") | {"passes": passes}
-    for name, algorithm in (("integrator", integrator), ("detrend", detrend)):
-        described = describe("height", tile.artwork, tile.name, algorithm=algorithm)[1] if algorithm else {}
-        facts[name] = described.get("algorithm")
-    inputs = {"lights": lights, "plate": plate, "bias": bias}
-    ref, record = describe("overview", tile.artwork, tile.name, algorithm=solver, inputs=inputs, facts=facts)
+    inputs = {"lights": lights, "plate": plate}
+    ref, record = describe("overview", tile.artwork, tile.name, inputs=inputs, facts=facts)
 
     def make(folder: Path, progress: Progress) -> None:
         field, flat = read_lights(store, lights), read_plate(store.path(plate)) if plate else None
@@ -241,14 +228,8 @@ def overview(
             room.noise = noise or room.noise
             small, factor = reduced_room(room, lambda share: progress(0.7 * share))
             grid = room.grid
-        removed = read_array(store.path(bias) / "bias.npy") if bias else None
-        if removed is not None:
-            removed = removed[factor // 2 :: factor, factor // 2 :: factor]
-            removed = removed[: small.grid.rows, : small.grid.columns]
         levels = noise is not None and field.near and grid.unit == "mm"
-        height, level = find_overview(
-            small, field, flat, removed, solver, integrator, detrend, passes, levels
-        )
+        height, level = find_overview(small, field, flat, passes, levels)
         write_level(folder, level)
         write_enlarged(folder / "height.npy", height, factor, grid.shape)
 

@@ -43,10 +43,7 @@ def digitise_tile(
 
     overview = trend = None
     if recipe.passes > 1:
-        algorithms = (recipe.normals, recipe.integrator)
-        overview = call(
-            stages.overview, tile, *algorithms, lights, plate, bias, detrend.height, recipe.passes - 1
-        )
+        overview = call(stages.overview, tile, lights, plate, recipe.passes - 1)
     normals = call(stages.normals, tile, recipe.normals, lights, plate, bias, overview)
     height = integrated = call(stages.height, tile, recipe.integrator, normals)
     if detrend.height:

@@ -2,10 +2,11 @@
 
 from typing import ClassVar
 
-from nlights_core import kernels, least_squares, robust_fitting
+from nlights_core import kernels
 from nlights_core.algorithms import Solution
 from nlights_core.frames import Array
 from nlights_core.least_squares import UsableLights
+from nlights_core.robust_solving import robust_solution
 
 
 class Robust(UsableLights):
@@ -21,11 +22,4 @@ class Robust(UsableLights):
     kernel: ClassVar[kernels.Kernel] = "robust"
 
     def solve(self, images: Array, lights: Array, weights: Array) -> Solution:
-        if kernels.available():
-            return kernels.solve(self.kernel, images, lights, weights, self.shadow, self.condition)
-        return robust_fitting.in_blocks(self._solved, images, lights, weights)
-
-    def _solved(self, images: Array, lights: Array, weights: Array) -> Solution:
-        usable = least_squares.lit(images, weights, self.shadow)
-        kept, found = robust_fitting.reweighted(images, lights, usable, self.condition)
-        return least_squares.solution(images, lights, kept, found)
+        return robust_solution(images, lights, weights, self.shadow, self.condition)

@@ -67,7 +67,7 @@ def test_the_height_of_a_relief_is_found_to_some_hundredths(relief, tmp_path):
     store.ensure(lamps)
     flat = plate(store, tile, recipe.detrend.images, lamps.ref)
     store.ensure(flat)
-    work = overview(store, tile, recipe.normals, recipe.integrator, lamps.ref, flat.ref, None, None, 2)
+    work = overview(store, tile, lamps.ref, flat.ref, 2)
     store.ensure(work)
     found = np.load(store.path(work.ref) / "height.npy")
     truth = tifffile.imread(relief / "truth" / "height.tif")
@@ -94,9 +94,7 @@ def test_a_drift_of_the_lamps_does_not_bend_the_height_that_it_is_found_with(rel
     store.ensure(flat)
     deviations = []
     for passes in (1, 4):
-        work = overview(
-            store, tile, recipe.normals, recipe.integrator, lamps.ref, flat.ref, None, None, passes
-        )
+        work = overview(store, tile, lamps.ref, flat.ref, passes)
         store.ensure(work)
         truth = tifffile.imread(relief / "truth" / "height.tif")
         deviations.append(np.std(np.load(store.path(work.ref) / "height.npy") - truth))

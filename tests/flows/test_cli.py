@@ -109,11 +109,11 @@ def test_a_variant_recomputes_only_what_differs(digitised, painting, tmp_path):
     recipe = tmp_path / "variant.yaml"
     recipe.write_text(
         "light_model: {use: measured-poi}\ndetrend: {images: {use: flat-field}}\n"
-        "normals: {use: robust}\nintegrator: {use: simchony, stencil: trapezoid}\npasses: 1\n"
+        "normals: {use: robust}\nintegrator: {use: simchony, stencil: trapezoid}\npasses: 3\n"
     )
     done = nlights("plan", painting, "--out", digitised, "--recipe", recipe)
     rows = {line.split()[0]: line for line in done.stdout.splitlines() if len(line.split()) > 2}
-    for stage in ("lights", "plate", "normals"):
+    for stage in ("lights", "plate", "overview", "normals"):
         assert "exists" in rows[stage]
     for stage in ("height", "maps", "mesh", "report"):
         assert "to be made" in rows[stage]
