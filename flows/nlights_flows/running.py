@@ -101,7 +101,10 @@ def require_memory(tile: Tile, recipe: Recipe) -> None:
     TileError
         With need, budget and remedy.
     """
-    info = survey(tile)
+    try:
+        info = survey(tile)
+    except (NlightsError, OSError):
+        return  # the stage that reads the photographs will say what is wrong with them
     need = recipe.integrator.bytes_per_pixel * info.rows * info.columns
     require(need, f"{tile.artwork}/{tile.name}: integrator: {recipe.integrator.name}")
 
