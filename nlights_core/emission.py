@@ -197,7 +197,7 @@ def plate_fit(reading: Array, emission: Emission, stand: Stand, x: Array, y: Arr
     peak_to_valley, rms : float
         Of the height less its best plane, micrometres; NaN where nothing could be measured.
     """
-    images = np.nanmean(reading / plate(emission, stand, x, y), axis=-1)
+    images = np.mean(reading / plate(emission, stand, x, y), axis=-1)
     points = np.stack([*np.meshgrid(x, y), np.zeros((len(y), len(x)))])
     light = emission.lights.vectors(points)
     light = light / light[..., 2:]
