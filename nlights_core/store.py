@@ -122,9 +122,9 @@ class Store:
         target.parent.mkdir(parents=True, exist_ok=True)
         sweep(target.parent)
         draft = target.parent / draft_name()
-        draft.mkdir()
         started = time.monotonic()
         try:
+            draft.mkdir()
             work.make(draft, progress)
             record = {
                 **work.record,
