@@ -62,7 +62,9 @@ def found(tile, solver, lights, flat, surface, folder, bias=None) -> dict[str, n
     return images | {"account": np.array(account), "held_out": np.array(agreement["held_out"])}
 
 
-def compare(tile, tmp_path, monkeypatch, *, solver=None, lights=None, flat=None, surface=None, bias=None):
+def assert_both_agree(
+    tile, tmp_path, monkeypatch, *, solver=None, lights=None, flat=None, surface=None, bias=None
+):
     """Both ways to solve, after a look at whether both were gone."""
     given = (solver or LeastSquares(), lights or near(tile), flat or plate(tile), surface)
     strips = fused_solving.FusedSolver.strips
@@ -99,7 +101,7 @@ def rewritten(tile, folder, change):
 @pytest.mark.parametrize("solver", [LeastSquares(), LeastSquares(shadow=0.3, condition=3.0)])
 @pytest.mark.parametrize("surface", [None, height])
 def test_it_finds_what_bands_find(tile, tmp_path, monkeypatch, solver, surface):
-    plain = compare(tile, tmp_path, monkeypatch, solver=solver, surface=surface and surface(tile))
+    plain = assert_both_agree(tile, tmp_path, monkeypatch, solver=solver, surface=surface and surface(tile))
     assert np.isfinite(plain["normals"]).mean() > 0.5
 
 
@@ -129,12 +131,12 @@ def test_outside_the_mask_nothing_is_known(tile, tmp_path, monkeypatch):
     mask[20:90, 30:190] = 255
     tifffile.imwrite(tmp_path / "mask.tif", mask)
     masked = tile.model_copy(update={"mask": tmp_path / "mask.tif"})
-    plain = compare(masked, tmp_path, monkeypatch)
+    plain = assert_both_agree(masked, tmp_path, monkeypatch)
     assert np.isnan(plain["normals"][mask == 0]).all()
 
 
-def test_without_a_dark_frame(tile, tmp_path, monkeypatch):
-    compare(tile.model_copy(update={"dark": None}), tmp_path, monkeypatch)
+def test_without_a_dark_frame_both_agree(tile, tmp_path, monkeypatch):
+    assert_both_agree(tile.model_copy(update={"dark": None}), tmp_path, monkeypatch)
 
 
 @pytest.mark.parametrize(
@@ -147,11 +149,11 @@ def test_without_a_dark_frame(tile, tmp_path, monkeypatch):
     ],
     ids=["grey", "8 bit", "float", "big endian"],
 )
-def test_photographs_of_other_kinds(tile, tmp_path, monkeypatch, change):
+def test_on_photographs_of_other_kinds_both_agree(tile, tmp_path, monkeypatch, change):
     other = rewritten(tile, tmp_path, change)
     channels = 1 if tifffile.imread(other.dark).ndim == 2 else 3
     lights = LightField(tile.lamps, positions=STAND.lamp_positions())
-    compare(other, tmp_path, monkeypatch, lights=lights, flat=plate(tile, channels))
+    assert_both_agree(other, tmp_path, monkeypatch, lights=lights, flat=plate(tile, channels))
 
 
 @pytest.mark.parametrize(
@@ -159,20 +161,22 @@ def test_photographs_of_other_kinds(tile, tmp_path, monkeypatch, change):
     [Encoding(saturation=20_000), Encoding(saturation="none"), Encoding(transfer="srgb")],
     ids=["low level", "no level", "tone curve"],
 )
-def test_other_encodings(tile, tmp_path, monkeypatch, encoding):
-    compare(tile.model_copy(update={"encoding": encoding}), tmp_path, monkeypatch, surface=height(tile))
+def test_in_other_encodings_both_agree(tile, tmp_path, monkeypatch, encoding):
+    assert_both_agree(
+        tile.model_copy(update={"encoding": encoding}), tmp_path, monkeypatch, surface=height(tile)
+    )
 
 
-def test_distant_lamps(tile, tmp_path, monkeypatch):
+def test_under_distant_lamps_both_agree(tile, tmp_path, monkeypatch):
     directions = STAND.lamp_positions() / np.linalg.norm(STAND.lamp_positions(), axis=1, keepdims=True)
     lights = LightField(tile.lamps, directions=directions)
-    compare(tile, tmp_path, monkeypatch, lights=lights, surface=height(tile))
+    assert_both_agree(tile, tmp_path, monkeypatch, lights=lights, surface=height(tile))
 
 
-def test_a_bias_is_removed(tile, tmp_path, monkeypatch):
+def test_both_remove_a_bias_alike(tile, tmp_path, monkeypatch):
     bias = np.zeros((150, 200, 3), np.float32)
     bias[..., 0] = 0.02
-    compare(tile, tmp_path, monkeypatch, bias=bias)
+    assert_both_agree(tile, tmp_path, monkeypatch, bias=bias)
 
 
 def test_a_black_photograph_is_refused(tile, tmp_path):
