@@ -109,7 +109,7 @@ def _thinned(band: Band, first: int, step: int) -> Band:
 
 def _surprise(band: Band, found: Solution) -> Array:
     """Residuals' rms in units of the noise, such that noise alone has a median of 1, (n,)."""
-    from scipy.stats import chi2
+    from scipy.special import chdtri
 
     used = found.weights > 0
     shown = np.einsum("lhwk,hwk->lhw", np.broadcast_to(band.lights, (*used.shape, 3)), found.normals)
@@ -123,7 +123,7 @@ def _surprise(band: Band, found: Solution) -> Array:
     with np.errstate(divide="ignore", invalid="ignore"):
         reading = np.sum(weights * np.where(used, band.grey, 0), axis=0) / total
         square = PHOTONS * np.sum(weights * missed**2, axis=0) / reading
-        ratio = np.sqrt(square / chi2.median(np.maximum(freedom, 1)))
+        ratio = np.sqrt(square / chdtri(np.maximum(freedom, 1), 0.5))
     return np.where(freedom > 0, ratio, np.nan).ravel()
 
 

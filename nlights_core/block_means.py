@@ -12,6 +12,7 @@ from nlights_core.band_threads import cores
 from nlights_core.development import Darkroom, Exposure
 from nlights_core.frames import Array
 from nlights_core.images import Photograph, grey, is_saturated
+from nlights_core.kernels import available
 
 
 class BlockMeans(NamedTuple):
@@ -90,8 +91,18 @@ def _means(
     columns = shape[1] * block
     mean = np.empty((*shape, photograph.info.channels), np.float32)
     share = np.zeros(shape, np.float32)
+    info = photograph.info
+    compiled = photograph.plain and available()
+    if compiled:
+        from nlights_core.compiled_maps import line_means
+
+        numbers = np.empty((lines, info.columns, info.channels), info.dtype)
     for row in range(shape[0]):
         first = row * block + (block - lines) // 2
+        if compiled:
+            photograph.numbers(first, first + lines, numbers)
+            line_means(numbers[:, :columns], *photograph.scale, mean[row], share[row])
+            continue
         light = photograph.band(first, first + lines)[:, :columns]
         # Down first: along the memory that is a sum of whole rows.
         down = light.mean(axis=0).reshape(shape[1], block, -1)

@@ -27,7 +27,7 @@ _TOTAL, _UPWARD, _USED = 0, BLOCK, 2 * BLOCK
 
 
 @compiled
-def deliver(blocks: Blocks, found: Array, first: int, images: Images) -> None:
+def deliver(blocks: Blocks, found: Array, first: int, white: np.float32, images: Images) -> None:
     """Write solved blocks to the rows of a strip.
 
     Parameters
@@ -38,6 +38,8 @@ def deliver(blocks: Blocks, found: Array, first: int, images: Images) -> None:
         From `nlights_core.compiled_solutions.solve_blocks`.
     first : int
         Number of the first block.
+    white : float32
+        Albedo of the plate.
     images : Images
         Receives them.
     """
@@ -50,9 +52,9 @@ def deliver(blocks: Blocks, found: Array, first: int, images: Images) -> None:
             return
         size = min(columns - column, BLOCK)
         here = slice(column, column + size)
-        _colour(blocks.samples[block], blocks.colours[block], found[block], of)
+        _colour(blocks.samples[block], blocks.colours[block], found[block], white, of)
         _put(of[LIGHT:], images.albedo[row, here])
-        _put(of[INVERSE:], images.apparent[row, here])
+        _put(of[INVERSE:], images.reflection[row, here])
         _put(found[block, NORMAL:], images.normals[row, here])
         copy(found[block, UNCERTAINTY:], images.confidence[row, here])
         copy(found[block, RESIDUAL:], images.residual[row, here])
@@ -62,8 +64,8 @@ def deliver(blocks: Blocks, found: Array, first: int, images: Images) -> None:
 
 
 @compiled
-def _colour(samples: Array, colours: Array, found: Array, of: Array) -> None:
-    """Albedo (`LIGHT`) and apparent colour (`INVERSE`) of every channel, number of used lights."""
+def _colour(samples: Array, colours: Array, found: Array, white: np.float32, of: Array) -> None:
+    """Albedo (`LIGHT`) and reflection (`INVERSE`) of every channel, number of used lights."""
     for k in range(LIGHT, SCRATCH):
         of[k] = ZERO
     for p in range(BLOCK):
@@ -88,14 +90,17 @@ def _colour(samples: Array, colours: Array, found: Array, of: Array) -> None:
             of[INVERSE + 2 * BLOCK + p] += blue
     for p in range(BLOCK):
         known = of[_TOTAL + p] > ZERO
-        per_total = ONE / of[_TOTAL + p] if known else np.float32(np.nan)
-        per_upward = ONE / of[_UPWARD + p]
-        of[LIGHT + p] *= per_total
-        of[LIGHT + BLOCK + p] *= per_total
-        of[LIGHT + 2 * BLOCK + p] *= per_total
-        of[INVERSE + p] *= per_upward
-        of[INVERSE + BLOCK + p] *= per_upward
-        of[INVERSE + 2 * BLOCK + p] *= per_upward
+        per_total = white / of[_TOTAL + p] if known else np.float32(np.nan)
+        per_upward = white / of[_UPWARD + p]
+        red, green, blue = (
+            of[LIGHT + p] * per_total,
+            of[LIGHT + BLOCK + p] * per_total,
+            of[LIGHT + 2 * BLOCK + p] * per_total,
+        )
+        of[INVERSE + p] = of[INVERSE + p] * per_upward - red
+        of[INVERSE + BLOCK + p] = of[INVERSE + BLOCK + p] * per_upward - green
+        of[INVERSE + 2 * BLOCK + p] = of[INVERSE + 2 * BLOCK + p] * per_upward - blue
+        of[LIGHT + p], of[LIGHT + BLOCK + p], of[LIGHT + 2 * BLOCK + p] = red, green, blue
 
 
 @compiled
@@ -126,6 +131,7 @@ def solve_strip(
     lit: np.float32,
     condition: float,
     robust: bool,
+    white: np.float32,
     blocks: Blocks,
     work: Work,
     images: Images,
@@ -142,6 +148,8 @@ def solve_strip(
         As for `nlights_core.compiled_solutions.solve_blocks`.
     robust : bool
         As for `nlights_core.compiled_fits.fit_blocks`.
+    white : float32
+        As for `deliver`.
     work : Work
         With the samples of ``blocks``.
     images : Images
@@ -153,4 +161,4 @@ def solve_strip(
         usable(work, lit)
         fit_blocks(work, robust)
         solve_blocks(work, condition)
-        deliver(blocks, work.found, first, images)
+        deliver(blocks, work.found, first, white, images)

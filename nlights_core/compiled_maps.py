@@ -287,6 +287,41 @@ def block_means(array: Array, factor: int, out: Array) -> None:
 
 
 @compiled
+def line_means(
+    numbers: Array, scale: float, level: float, largest: float, means: Array, saturated: Array
+) -> None:
+    """Means of the light of some lines of a photograph (n, w * block, C), block by block.
+
+    Parameters
+    ----------
+    numbers : (n, W, C) array of uint8 or uint16
+        What the file holds.
+    scale, level, largest : float
+        Light per number, the number at which the sensor saturates, the largest light there is.
+    means : (w, C) float32 array
+        Receives them.
+    saturated : (w,) float32 array
+        Receives the share of pixels of which any colour is saturated.
+    """
+    lines, count = numbers.shape[0], means.shape[0]
+    block = numbers.shape[1] // count
+    sums = np.zeros(numbers.shape[2])
+    for m in range(count):
+        sums[:] = 0
+        over = 0
+        for i in range(lines):
+            for j in range(m * block, (m + 1) * block):
+                high = 0.0
+                for channel in range(sums.size):
+                    number = np.float64(numbers[i, j, channel])
+                    sums[channel] += min(number * scale, largest)
+                    high = max(high, number)
+                over += high >= level
+        means[m] = sums / (lines * block)
+        saturated[m] = over / (lines * block)
+
+
+@compiled
 def sum_of_known(values: Array) -> tuple[float, int]:
     """Sum, in float64, and number of the finite ones of some values (N,)."""
     total, known = 0.0, 0

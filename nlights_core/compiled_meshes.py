@@ -194,8 +194,10 @@ def network(
 
 
 @compiled
-def deviation(places: Array, corners: Array, height: Array, reached: Array) -> tuple[float, float, int]:
-    """Distance along z of a mesh from a height map, at every pixel that lies under it.
+def deviation(
+    places: Array, corners: Array, height: Array, reached: Array, start: int, stop: int
+) -> tuple[float, float, int]:
+    """Distance along z of a mesh from a height map, at every pixel of some rows that lies under it.
 
     Parameters
     ----------
@@ -207,6 +209,8 @@ def deviation(places: Array, corners: Array, height: Array, reached: Array) -> t
         NaN where not known.
     reached : (H, W) bool array
         False; True afterwards where a pixel lies under the mesh.
+    start, stop : int
+        The rows.
 
     Returns
     -------
@@ -217,19 +221,21 @@ def deviation(places: Array, corners: Array, height: Array, reached: Array) -> t
     compared : int
         How many pixels these are.
     """
-    rows, columns = height.shape
+    columns = height.shape[1]
     largest, square, compared = 0.0, 0.0, 0
     slack = 1e-6  # a vertex that lies on a pixel must reach it
     for face in range(corners.shape[0]):
         a, b, c = places[corners[face, 0]], places[corners[face, 1]], places[corners[face, 2]]
+        top = max(int(np.ceil(min(a[1], b[1], c[1]) - slack)), start)
+        bottom = min(int(np.floor(max(a[1], b[1], c[1]) + slack)), stop - 1)
+        if top > bottom:
+            continue
         bx, by, cx, cy = b[0] - a[0], b[1] - a[1], c[0] - a[0], c[1] - a[1]
         area = bx * cy - by * cx
         if abs(area) < 1e-9:
             continue
         across = ((b[2] - a[2]) * cy - by * (c[2] - a[2])) / area
         down = (bx * (c[2] - a[2]) - (b[2] - a[2]) * cx) / area
-        top = max(int(np.ceil(min(a[1], b[1], c[1]) - slack)), 0)
-        bottom = min(int(np.floor(max(a[1], b[1], c[1]) + slack)), rows - 1)
         for i in range(top, bottom + 1):
             low, high = np.inf, -np.inf
             for first, second in ((a, b), (b, c), (c, a)):

@@ -7,6 +7,7 @@ them into fractions of the saturation level.
 from __future__ import annotations
 
 import logging
+import os
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -179,17 +180,17 @@ def _open_tiff(path: Path) -> Decoder:
         _check_segments(path, page, file.filehandle.size)
         assert page.dtype is not None
         number = page.dtype.newbyteorder("=") if page.dtype.kind == "u" else np.dtype(np.float32)
-        # What is stored in its final form is mapped, any rows at a time; other files in rows of segments.
-        mapped = page.is_final
+        # Of what is stored in its final form any rows can be had; of other files, rows of segments.
+        stored = page.is_final
         rows_of_a_segment = page.tilelength if page.is_tiled else page.rowsperstrip
-        rows = _mapped_rows if mapped else _decoded_rows
+        rows = _stored_rows if stored else _decoded_rows
         decoder = Decoder(
             rows=page.imagelength,
             columns=page.imagewidth,
             channels=channels,
             dtype=number,
             icc=page.iccprofile,
-            step=1 if mapped else min(rows_of_a_segment, page.imagelength),
+            step=1 if stored else min(rows_of_a_segment, page.imagelength),
             decode=partial(rows, path, page, channels, number),
             close=file.close,
         )
@@ -242,29 +243,34 @@ def _check_segments(path: Path, page: tifffile.TiffPage, size: int) -> None:
         raise TileError(f"{path}: {found}; copy it again from the camera or export it anew")
 
 
-def _mapped_rows(
+def _stored_rows(
     path: Path, page: tifffile.TiffPage, channels: int, number: np.dtype[np.generic], start: int, stop: int
 ) -> Array:
-    """Rows of an uncompressed TIFF.  Only they are mapped, so that a reader's memory stays a band."""
+    """Rows of an uncompressed TIFF.  They are read, not mapped: a page fault costs more than a copy."""
     planar = page.planarconfig == 2 and page.samplesperpixel > 1
     samples = 1 if planar else page.samplesperpixel
     stored = np.dtype(page.dtype).newbyteorder(page.parent.byteorder)
     row_bytes = page.imagewidth * samples * stored.itemsize
-    planes = [
-        np.memmap(
-            path,
-            stored,
-            "r",
-            offset=page.dataoffsets[0] + (plane * page.imagelength + start) * row_bytes,
-            shape=(stop - start, page.imagewidth, samples),
-        )
-        for plane in range(channels if planar else 1)
-    ]
-    numbers = np.asarray(planes[0][..., :channels]) if not planar else np.concatenate(planes, axis=2)
+    planes = []
+    for plane in range(channels if planar else 1):
+        rows = np.empty((stop - start, page.imagewidth, samples), stored)
+        place = page.dataoffsets[0] + (plane * page.imagelength + start) * row_bytes
+        _read_whole(page.parent.filehandle.fileno(), rows.reshape(-1).view(np.uint8), place)
+        planes.append(rows)
+    numbers = planes[0][..., :channels] if not planar else np.concatenate(planes, axis=2)
     if number.kind == "u":
         return numbers
     with np.errstate(over="ignore"):  # a float64 past float32 becomes infinite, which the reader refuses
         return numbers.astype(number)
+
+
+def _read_whole(file: int, into: Array, place: int) -> None:
+    """Fill an array of bytes from a place in an open file."""
+    while into.size:
+        count = os.preadv(file, [into.data], place)
+        if not count:
+            raise EOFError(f"it ends at byte {place}, where pixels are expected")
+        into, place = into[count:], place + count
 
 
 def _decoded_rows(

@@ -7,7 +7,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -77,6 +77,13 @@ class Exposure:
                 f"{path}: {name}: all black (mean {self.total / self.pixels:.5f} of saturation after the "
                 f"dark frame, at least {BLACK} is needed); see whether the lamp lit, and photograph again"
             )
+
+
+class Rows(Protocol):
+    """What gives rows of a map when asked for a slice, as an array does."""
+
+    def __getitem__(self, rows: slice, /) -> Array:
+        """Some rows."""
 
 
 class Raw(NamedTuple):
@@ -205,7 +212,7 @@ class Darkroom:
         """Small views of the photographs read so far, (L, h, w, C) float32: for people to look at."""
         return np.concatenate(self._views, axis=1)
 
-    def bands(self, lights: LightField, plate: Plate | None, height: Array | None = None) -> Iterator[Band]:
+    def bands(self, lights: LightField, plate: Plate | None, height: Rows | None = None) -> Iterator[Band]:
         """Develop all bands from top to bottom, then check the exposures.
 
         Parameters

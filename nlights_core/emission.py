@@ -105,7 +105,7 @@ def fit_emission(reading: Array, stand: Stand, lamps: tuple[str, ...], x: Array,
     ----------
     .. [1] S. Searle, G. Casella, C. McCulloch, Variance Components, 1992, ch. 6.
     """
-    from scipy.stats import chi2
+    from scipy.special import chdtri
 
     data = reduced(reading, stand, lamps, x, y)
     ideal = fitted(data, LINEAR_MM, np.arange(UNKNOWNS) < 4)
@@ -128,7 +128,7 @@ def fit_emission(reading: Array, stand: Stand, lamps: tuple[str, ...], x: Array,
         likely_mm=likely,
         suspects=tuple(lamp for lamp, suspect in zip(lamps, suspects, strict=True) if suspect),
         # Half of the time the best uncertainty is the stated one or less: a one-sided test.
-        fits=not suspects.any() and doubt <= float(chi2.isf(2 * FALSE_ALARM, 1)),
+        fits=not suspects.any() and doubt <= float(chdtri(1, 2 * FALSE_ALARM)),
     )
 
 
@@ -147,13 +147,13 @@ def _ideal_lights(names: tuple[str, ...], lamps: Array, data: Readings) -> Light
 
 def _pulls(shifts: Array, covariance: Array, stated: float) -> tuple[Array, Array]:
     """Shifts in standard deviations, (L, 3), and which lamps' three are too large together, (L,)."""
-    from scipy.stats import chi2
+    from scipy.special import chdtri
 
     total = covariance + stated**2 * np.eye(len(shifts))
     pulls = (shifts / np.sqrt(np.diag(total))).reshape(-1, 3)
     blocks = [slice(3 * i, 3 * i + 3) for i in range(len(pulls))]
     odds = [float(shifts[b] @ np.linalg.solve(total[b, b], shifts[b])) for b in blocks]
-    return pulls, np.array(odds) > chi2.isf(FALSE_ALARM / len(pulls), 3)
+    return pulls, np.array(odds) > chdtri(3, FALSE_ALARM / len(pulls))
 
 
 def plate(emission: Emission, stand: Stand, x: Array, y: Array) -> Array:

@@ -198,10 +198,10 @@ def _contradicted(changes: Array, matrix: Array) -> bool:
 
     Lobes, positions and the warp of the artwork may explain what they can.
     """
-    from scipy.stats import chi2
+    from scipy.special import chdtri
 
     count, terms = changes.shape
     places = (terms * np.arange(count)[:, None] + np.arange(4)).ravel()
     covariance = np.linalg.inv(matrix)[np.ix_(places, places)]
     asked = changes[:, :4].ravel()
-    return float(asked @ np.linalg.solve(covariance, asked)) > float(chi2.isf(FALSE_ALARM, len(places)))
+    return float(asked @ np.linalg.solve(covariance, asked)) > float(chdtri(len(places), FALSE_ALARM))

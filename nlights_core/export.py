@@ -227,6 +227,16 @@ def write_tiff(
     )
 
 
+def write_again(source: Path, path: Path, grid: PixelGrid, compression: Compression) -> None:
+    """Write what `write_tiff` wrote to another file, with another compression; raises as that does."""
+    import tifffile
+
+    with tifffile.TiffFile(source) as file:
+        page = file.pages.first
+        said, icc = page.description, page.iccprofile
+    write_tiff(path, read_tiff(source), grid, description=said, icc=icc, compression=compression)
+
+
 def write_bands(
     path: str | Path,
     rows: Iterable[Array],

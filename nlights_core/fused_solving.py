@@ -1,8 +1,8 @@
 """The normal stage in one go: the photographs' numbers become the stage's images strip by strip.
 
 What `nlights_core.solving` does with bands of arrays, for the solvers that have a kernel, with the
-same results.  One thread reads strips of rows and hands finished ones out, the others work on them;
-how many strips there are at a time bounds the memory.
+same results.  Every core reads a strip of rows and works on it, and one thread hands the finished ones
+out in order; how many strips there are at a time bounds the memory.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,7 @@ from nlights_core.band_threads import cores, in_order
 from nlights_core.compiled_delivery import solve_strip
 from nlights_core.compiled_development import COUNTED, SCRATCH, develop
 from nlights_core.compiled_fits import BLOCK
-from nlights_core.development import Band, Darkroom, Exposure, grey_shares
+from nlights_core.development import Band, Darkroom, Exposure, Rows, grey_shares
 from nlights_core.fields import LightField
 from nlights_core.frames import Array
 from nlights_core.images import EYE
@@ -53,6 +54,8 @@ class FusedSolver:
         Height of the pass before, mm.
     shadow : float
         Share of the brightest sample below which one is counted as shadow.
+    white : float
+        Albedo of the plate.
     """
 
     room: Darkroom
@@ -60,8 +63,9 @@ class FusedSolver:
     kernel: Kernel
     lights: LightField
     plate: Plate
-    height: Array | None
+    height: Rows | None
     shadow: float
+    white: float
 
     def strips(self, meter: AgreementMeter) -> Iterator[tuple[int, int, Images]]:
         """Solve all strips from top to bottom, then check the exposures.
@@ -84,8 +88,22 @@ class FusedSolver:
             When a photograph is black or saturated throughout, or cannot be read.
         """
         seen: list[Strip] = []
-        for start, images, pixels, totals in in_order(self._solved, self._read(meter, seen)):
+        step, view_step = meter.step, self.room.view_step
+        reading = Lock()
+
+        def work(place: tuple[int, int, Array, Images]) -> tuple[int, Images, int, Array, Strip, Strip]:
+            start, stop, numbers, images = place
+            # A photograph serves one thread at a time; meanwhile the other cores solve.
+            with reading:
+                strip = self._strip(start, stop, numbers)
+            sample = _thinned(strip, -start % step, step // 2, step)
+            view = _thinned(strip, -start % view_step, 0, view_step)
+            return start, images, *self._solved(strip, images), sample, view
+
+        for start, images, pixels, totals, sample, view in in_order(work, self._places()):
             self._account(pixels, totals)
+            seen.append(sample)
+            self._view(view)
             yield start, start + len(images.normals), images
         self.room.check()
         meter.look(self._sample(_joined(seen)))
@@ -113,13 +131,13 @@ class FusedSolver:
     def _images(self, rows: int) -> Images:
         shape, channels = (rows, self.room.grid.columns), self.room.info.channels
         normals = np.empty((*shape, 3), np.float32)
-        albedo, apparent = np.empty((2, *shape, channels), np.float32)
+        albedo, reflection = np.empty((2, *shape, channels), np.float32)
         confidence, residual = np.empty((2, *shape), np.float32)
         used, saturated, shadow = np.empty((3, *shape), np.uint8)
-        return Images(normals, albedo, apparent, confidence, residual, used, saturated, shadow)
+        return Images(normals, albedo, reflection, confidence, residual, used, saturated, shadow)
 
-    def _read(self, meter: AgreementMeter, seen: list[Strip]) -> Iterator[tuple[int, Strip, Images]]:
-        """Read strips, each with the place for its images; buffers are used again when it is done."""
+    def _places(self) -> Iterator[tuple[int, int, Array, Images]]:
+        """Rows of strips, with room for their numbers and images; it is used again when they are done."""
         grid, info = self.room.grid, self.room.info
         rows = max(1, min(grid.rows, STRIP // grid.columns))
         # `in_order` has one strip a core under way when it asks for another.
@@ -129,11 +147,12 @@ class FusedSolver:
         images = [self._images(rows) for _ in range(spare)]
         for turn, start in enumerate(range(0, grid.rows, rows)):
             stop = min(start + rows, grid.rows)
-            strip = self._strip(start, stop, numbers[turn % spare])
-            step, view_step = meter.step, self.room.view_step
-            seen.append(_thinned(strip, -start % step, step // 2, step))
-            self._view(_thinned(strip, -start % view_step, 0, view_step))
-            yield start, strip, Images(*(image[: stop - start] for image in images[turn % spare]))
+            yield (
+                start,
+                stop,
+                numbers[turn % spare],
+                Images(*(i[: stop - start] for i in images[turn % spare])),
+            )
 
     def _strip(self, start: int, stop: int, numbers: Array) -> Strip:
         """Read rows of all photographs into a buffer."""
@@ -159,15 +178,15 @@ class FusedSolver:
         lamps = len(self.room.photographs)
         self.room.add_view(light[:lamps] - light[lamps:] if self._count > lamps else light)
 
-    def _solved(self, task: tuple[int, Strip, Images]) -> tuple[int, Images, int, Array]:
-        """Solve a strip: its first row, images, pixels inside the mask, and totals of the photographs."""
-        start, strip, images = task
+    def _solved(self, strip: Strip, images: Images) -> tuple[int, Array]:
+        """Solve a strip: how many pixels are inside the mask, and totals of the photographs."""
         work = scratch(len(self.lights.lamps))
         blocks = self._blocks(work.samples)
         limits = (np.float32(self.shadow), np.float32(self.solver.shadow), float(self.solver.condition))
-        solve_strip(strip, self.optics, *limits, self.kernel == "robust", blocks, work, images)
+        robust, white = self.kernel == "robust", np.float32(self.white)
+        solve_strip(strip, self.optics, *limits, robust, white, blocks, work, images)
         pixels = np.count_nonzero(strip.inside) if strip.inside.size else images.residual.size
-        return start, images, int(pixels), blocks.totals[: self._count]
+        return int(pixels), blocks.totals[: self._count]
 
     def _sample(self, strip: Strip) -> Band:
         """Some pixels as a solver sees them."""
@@ -198,13 +217,9 @@ class FusedSolver:
 
     def _scale(self) -> tuple[float, float, float]:
         """Light per number, the number at which the sensor saturates, and the largest light there is."""
-        info = self.room.info
-        limited = bool(np.isfinite(info.saturation))
-        if not self._plain:
-            return 1.0, 1.0 if limited else np.inf, np.inf
-        if limited:
-            return 1 / info.saturation, info.saturation, np.inf
-        return 1 / (256.0**info.dtype.itemsize - 1), np.inf, float(np.nextafter(np.float32(1), np.float32(0)))
+        if self._plain:
+            return next(iter(self.room.photographs.values())).scale
+        return 1.0, 1.0 if np.isfinite(self.room.info.saturation) else np.inf, np.inf
 
     @cached_property
     def optics(self) -> Optics:

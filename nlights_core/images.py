@@ -169,6 +169,14 @@ class Photograph:
         whole = decoder.dtype.kind == "u" and decoder.dtype.itemsize <= 2
         return whole and self._mosaic is None and self._transfer == "linear"
 
+    @property
+    def scale(self) -> tuple[float, float, float]:
+        """Of a `plain` photograph: light per number, the number at which the sensor saturates, the largest light."""
+        info = self.info
+        if np.isfinite(info.saturation):
+            return 1 / info.saturation, info.saturation, np.inf
+        return 1 / _full_scale(info.dtype), np.inf, float(_BELOW_ONE)
+
     def numbers(self, start: int, stop: int, out: Array) -> None:
         """Copy what the file holds in a band of rows of a `plain` photograph; raises as `band` does.
 

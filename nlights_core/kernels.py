@@ -34,7 +34,7 @@ class Images(NamedTuple):
 
     normals: Array
     albedo: Array
-    apparent: Array
+    reflection: Array
     confidence: Array
     residual: Array
     used: Array

@@ -22,6 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from nlights_core import least_squares
+from nlights_core.band_threads import in_order
 from nlights_core.development import Darkroom, Raw
 from nlights_core.fields import LightField
 from nlights_core.frames import Array, PixelGrid
@@ -33,6 +34,9 @@ BLOCKS = 32
 
 PIXELS = 30_000
 """About how many pixels are looked at."""
+
+LINES = 16
+"""Rows that are looked at, at least: they must show the whole height of the tile."""
 
 INDEPENDENT = 300
 """As how many independent pixels they count: what is wrong with the plate is wrong for all neighbours
@@ -198,7 +202,7 @@ def _significant(logarithms: Array, covariance: Array) -> Array:
 def _sample_rows(room: Darkroom) -> list[tuple[int, int]]:
     """Rows spread over the whole height of the tile."""
     rows, columns = room.grid.shape
-    wanted = int(np.clip(PIXELS // columns, min(rows, 24), rows))
+    wanted = int(np.clip(PIXELS // columns, min(rows, LINES), rows))
     thickness = max(1, wanted // 16)
     starts = np.linspace(0, rows - thickness, max(1, wanted // thickness)).round().astype(int)
     return [(int(start), int(start) + thickness) for start in dict.fromkeys(starts)]
@@ -217,7 +221,11 @@ def _equations(
 
     No pixels are counted when too many samples are strange: gloss would be taken for height.
     """
-    parts = [_linearised(room, lights, plate, strip, offset, logarithms, before) for strip in strips]
+
+    def linearised(strip: _Strip) -> _Linearised:
+        return _linearised(room, lights, plate, strip, offset, logarithms, before)
+
+    parts = list(in_order(linearised, strips))
     size = len(lights.lamps) + 1
     matrix, right, pixels = np.zeros((size, size)), np.zeros(size), 0
     settled, scale = parts, 1.0
@@ -228,15 +236,17 @@ def _equations(
         if not surprise.size:
             return matrix, right, 0
         scale = max(float(np.median(surprise)) / 0.6745, 1e-9)
-        settled = [
-            first.with_weights(first.weights / (1 + (np.nan_to_num(part.surprise) / (TUNING * scale)) ** 2))
-            for first, part in zip(parts, settled, strict=True)
-        ]
+        limit = TUNING * scale
+
+        def reweighted(pair: tuple[_Linearised, _Linearised], limit: float = limit) -> _Linearised:
+            first, last = pair
+            return first.with_weights(first.weights / (1 + (np.nan_to_num(last.surprise) / limit) ** 2))
+
+        settled = list(in_order(reweighted, zip(parts, settled, strict=True)))
     strange = np.concatenate([np.nan_to_num(part.surprise).ravel() for part in settled]) > 5 * scale
     if np.mean(strange) > GLOSSY:
         return matrix, right, 0
-    for part in settled:
-        one, two, many = part.sums(scale)
+    for one, two, many in in_order(lambda part: part.sums(scale), settled):
         matrix, right, pixels = matrix + one, right + two, pixels + many
     return matrix, right, pixels
 

@@ -58,6 +58,7 @@ class Manifest(Record):
     """The fields of an ``artwork.yaml``; paths in it are relative to its folder."""
 
     artwork: _Artwork
+    priority: int = Field(default=0, description="in a night's order: higher goes first")
     stand: str | None = Field(default=None, description="name of a shipped stand, or a file of the capture")
     frames: Frames | None = None
     flats: Frames | None = None

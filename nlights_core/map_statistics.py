@@ -53,7 +53,7 @@ def _sum(values: Array) -> tuple[float, int]:
     from nlights_core import compiled_maps
 
     if values.dtype.kind != "f":
-        return float(values.sum(dtype=np.float64)), values.size
+        return float(values.sum(dtype=np.int64)), values.size
     return compiled_maps.sum_of_known(np.ascontiguousarray(values).reshape(-1))
 
 

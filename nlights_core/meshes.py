@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from nlights_core.band_threads import in_order
 from nlights_core.export import block_means
 from nlights_core.frames import Array, PixelGrid
 from nlights_core.viewing import srgb_codes
@@ -16,6 +17,9 @@ REDUCED_PIXELS = 8_000_000
 
 REFINED = 4
 """Times the faces that are kept, the network has: fewer raise the rms deviation, more the largest."""
+
+BANDS = 16
+"""Bands of rows in which the deviation is measured."""
 
 SQUARE = 128
 """Steps along the squares that the network starts from, at most; a power of two."""
@@ -204,8 +208,18 @@ def deviation(places: Array, corners: Array, height: Array) -> dict[str, float]:
     from nlights_core import compiled_meshes
 
     reached = np.zeros(height.shape, bool)
-    largest, square, compared = compiled_meshes.deviation(places, corners, height, reached)
-    known = compiled_meshes.count(height, len(height))[0]
+
+    def parts(band: slice) -> tuple[tuple[float, float, int], int]:
+        found = compiled_meshes.deviation(places, corners, height, reached, band.start, band.stop)
+        return found, compiled_meshes.count(height[band], band.stop - band.start)[0]
+
+    # Few bands: each looks through all triangles for its own.
+    rows = max(1, -(-len(height) // BANDS))
+    bands = [slice(start, min(start + rows, len(height))) for start in range(0, len(height), rows)]
+    largest, square, compared, known = 0.0, 0.0, 0, 0
+    for (most, squares, count), finite in in_order(parts, bands):
+        largest, square = max(largest, most), square + squares
+        compared, known = compared + count, known + finite
     bridged = int(np.count_nonzero(reached)) - compared
     return {
         "largest_deviation_mm": largest,

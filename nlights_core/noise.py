@@ -188,7 +188,7 @@ def fit_noise(means: Array, variances: Array, dark: Array | None, *, smooth: boo
     Noise or None
         None where there is no block, or no light.
     """
-    from scipy.stats import chi2
+    from scipy.special import chdtri
 
     if not len(means) or not (means.mean(axis=0) > 0).all():
         return None
@@ -202,7 +202,7 @@ def fit_noise(means: Array, variances: Array, dark: Array | None, *, smooth: boo
         # Dim blocks say little of photons.
         bright = means[:, c] >= 0.25 * level[c]
         ratios = (variances[bright, c] - readout[c]) / means[bright, c]
-        gain[c] = np.quantile(ratios, share) * freedom / chi2.ppf(share, freedom)
+        gain[c] = np.quantile(ratios, share) * freedom / chdtri(freedom, 1 - share)
     return Noise(np.maximum(gain, QUIETEST**2 * level), readout)
 
 

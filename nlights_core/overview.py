@@ -9,15 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields
-from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
 
 from nlights_core.algorithms import Solution
-from nlights_core.arrays import BandWriter
 from nlights_core.block_means import block_means
-from nlights_core.development import Darkroom, Raw, bands
+from nlights_core.development import Darkroom, Raw
 from nlights_core.errors import TileError
 from nlights_core.fields import LightField
 from nlights_core.frames import Array, PixelGrid
@@ -70,7 +68,7 @@ class ReducedRoom(Darkroom):
         """Nothing: the photographs are judged where they are read in full."""
 
 
-def reduced_room(room: Darkroom, progress: Callable[[float], None]) -> tuple[ReducedRoom, int]:
+def reduced_room(room: Darkroom, progress: Callable[[float], None]) -> ReducedRoom:
     """Read the photographs of a tile as means over blocks.
 
     Parameters
@@ -82,11 +80,10 @@ def reduced_room(room: Darkroom, progress: Callable[[float], None]) -> tuple[Red
 
     Returns
     -------
-    room : ReducedRoom
-    factor : int
-        Edge of a block, px; rows and columns that fill no block are left out.
+    ReducedRoom
+        Rows and columns that fill no block are left out.
     """
-    factor = max(1, room.grid.columns // COLUMNS)
+    factor = block_edge(room.grid.columns)
     means = block_means(room, factor, ROWS, progress)
     rows, columns = means.inside.shape
     kept = {f.name: getattr(room, f.name) for f in fields(Darkroom) if f.init and not f.name.startswith("_")}
@@ -97,7 +94,7 @@ def reduced_room(room: Darkroom, progress: Callable[[float], None]) -> tuple[Red
     small = ReducedRoom(**kept, **means._asdict())
     count = min(ROWS, factor) * factor
     small.noise = Noise(room.noise.gain / count, room.noise.readout / count)
-    return small, factor
+    return small
 
 
 class _Solver(UsableLights):
@@ -159,33 +156,44 @@ def overview(
     return height, found
 
 
-def write_enlarged(path: Path, height: Array, factor: int, shape: tuple[int, int]) -> None:
-    """Write an overview's height on the grid of the photographs, by linear interpolation.
+class Enlarged:
+    """An overview's height on the grid of the photographs, by linear interpolation; ask it for rows.
 
     Parameters
     ----------
-    path : Path
-        ``height.npy``.
     height : (h, w) float32 array
         NaN where not known: filled with the nearest that is.
     factor : int
         Edge of a block, px.
     shape : (int, int)
         Rows and columns of the photographs.
-    """
-    from scipy.ndimage import distance_transform_edt
 
-    unknown = np.isnan(height)
-    if unknown.any():
-        nearest = distance_transform_edt(unknown, return_distances=False, return_indices=True)
-        height = height[tuple(nearest)]
-    left, right, across = _between(shape[1], factor, height.shape[1])
-    wide = height[:, left] * (1 - across) + height[:, right] * across
-    above, below, down = _between(shape[0], factor, height.shape[0])
-    with BandWriter(path, shape) as file:
-        for start, stop in bands(PixelGrid(*shape, 1.0), 16):
-            share = down[start:stop, None]
-            file.write(wide[above[start:stop]] * (1 - share) + wide[below[start:stop]] * share)
+    Examples
+    --------
+    >>> Enlarged(np.array([[1, 3]], np.float32), 2, (2, 4))[0:1]
+    array([[1. , 1.5, 2.5, 3. ]], dtype=float32)
+    """
+
+    def __init__(self, height: Array, factor: int, shape: tuple[int, int]) -> None:
+        from scipy.ndimage import distance_transform_edt
+
+        unknown = np.isnan(height)
+        if unknown.any():
+            nearest = distance_transform_edt(unknown, return_distances=False, return_indices=True)
+            height = height[tuple(nearest)]
+        left, right, across = _between(shape[1], factor, height.shape[1])
+        self._wide = height[:, left] * (1 - across) + height[:, right] * across
+        self._above, self._below, self._down = _between(shape[0], factor, height.shape[0])
+
+    def __getitem__(self, rows: slice) -> Array:
+        """Some rows, (n, W) float32."""
+        above, below, share = self._above[rows], self._below[rows], self._down[rows, None]
+        return np.asarray(self._wide[above] * (1 - share) + self._wide[below] * share)
+
+
+def block_edge(columns: int) -> int:
+    """Edge of a block, px, of photographs so wide."""
+    return max(1, columns // COLUMNS)
 
 
 def _between(length: int, factor: int, blocks: int) -> tuple[Array, Array, Array]:

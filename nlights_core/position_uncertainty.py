@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nlights_core.export import block_means
 from nlights_core.fields import LightField
 from nlights_core.frames import Array, PixelGrid
 from nlights_core.integration import simchony
@@ -99,17 +100,10 @@ def position_uncertainty(
 
 
 def _block_means(normals: Array, grid: PixelGrid) -> tuple[Array, PixelGrid]:
-    """Mean normals of blocks (h, w, 3), NaN where none is known, and the grid of the blocks."""
+    """Mean normals of blocks (h, w, 3), NaN where less than half is known, and the grid of the blocks."""
     edge = max(1, -(-max(grid.shape) // BLOCKS))
-    rows, columns = grid.rows // edge, grid.columns // edge
-    means = np.empty((rows, columns, 3))
-    for row in range(rows):
-        band = np.asarray(normals[row * edge : (row + 1) * edge, : columns * edge], np.float64)
-        blocks = band.reshape(edge, columns, edge, 3)
-        known = np.isfinite(blocks).all(axis=-1, keepdims=True)
-        count = known.sum(axis=(0, 2))
-        total = np.where(known, blocks, 0).sum(axis=(0, 2))
-        means[row] = np.where(count > 0, total / np.maximum(count, 1), np.nan)
+    means = block_means(normals, edge).astype(np.float64)
+    rows, columns = means.shape[:2]
     return means, PixelGrid(rows, columns, grid.pixel_size * edge, grid.camera)
 
 

@@ -18,7 +18,6 @@ def maps(
     tile: Tile,
     normals: ArtefactRef,
     height: ArtefactRef,
-    white: ArtefactRef | None,
     trend: ArtefactRef | None,
     integrated: ArtefactRef | None = None,
     perspective: bool = False,
@@ -26,26 +25,23 @@ def maps(
 ) -> Work:
     """Products that are images: normals, albedo, reflection, height, confidence, trend.
 
-    ``white`` is the photographed plate, which makes the albedo absolute, where there is one.
     ``integrated`` is the height of these normals before anything was done to it, where they shall
     be made integrable with it, and ``perspective`` says whether its integrator followed the rays
     of the camera.  ``compression`` is that of the TIFFs, "none" or "zstd".
     """
     inputs = {"normals": normals, "height": height, "trend": trend, "integrated": integrated}
-    reflectance = tile.white_reflectance if white else None
-    facts: dict[str, Any] = {"white_reflectance": reflectance, "perspective": perspective}
+    facts: dict[str, Any] = {"perspective": perspective}
     if compression != "none":
         facts["compression"] = compression
     ref, record = describe("maps", tile.artwork, tile.name, inputs=inputs, facts=facts)
 
     def make(folder: Path, progress: Progress) -> None:
-        info = survey(tile)
         products.write_maps(
             folder,
             products.open_maps(store, normals, height, trend),
-            grid_of(tile, info),
-            white=tile.white_reflectance if white else None,
-            icc=info.icc,
+            grid_of(tile, survey(tile)),
+            coloured=store.path(normals),
+            absolute=products.white_reflectance(store, normals) is not None,
             progress=progress,
             integrated=read_array(store.path(integrated) / "height.npy") if integrated else None,
             perspective=perspective,

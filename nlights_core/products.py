@@ -22,15 +22,18 @@ from nlights_core.errors import TileError
 from nlights_core.export import Compression
 from nlights_core.fields import LightField
 from nlights_core.figures import NOT_IN_RECIPE, NOT_MEASURED
+from nlights_core.flat_quality import of_flat_levels
 from nlights_core.frames import Array, PixelGrid
 from nlights_core.integrability import integrable_normals, integrable_uncertainty
 from nlights_core.levelling import read_level
 from nlights_core.map_statistics import sampled
 from nlights_core.meshes import write_glb
+from nlights_core.noise import read_noise
 from nlights_core.pixel_meshes import write_ply
 from nlights_core.plates import read_plate
 from nlights_core.position_uncertainty import position_uncertainty
-from nlights_core.store import RECORD, ArtefactRef, Progress, Store
+from nlights_core.solving import COLOURS
+from nlights_core.store import RECORD, ArtefactRef, Progress, Store, link_or_copy
 from nlights_core.viewing import NormalsView, write_albedo_view
 
 FRAME = "plane frame: x right, y up, z from the artwork to the camera; NaN where not known"
@@ -59,8 +62,6 @@ def open_maps(
     source = store.path(normals)
     names = (
         "normals",
-        "albedo",
-        "apparent",
         "confidence",
         "residual",
         "used",
@@ -69,10 +70,17 @@ def open_maps(
         "frames",
     )
     maps = {name: read_array(source / f"{name}.npy") for name in names}
+    maps |= {name: export.read_tiff(source / f"{name}.tif") for name in COLOURS}
     maps["height"] = read_array(store.path(height) / "height.npy")
     if trend is not None:
         maps["trend"] = read_array(store.path(trend) / "trend.npy")
     return maps
+
+
+def white_reflectance(store: Store, normals: ArtefactRef) -> float | None:
+    """Albedo of the photographed plate that made this one's albedo absolute; None where it is relative."""
+    record = json.loads((store.path(normals) / RECORD).read_text(encoding="utf-8"))
+    return record["facts"]["white_reflectance"]  # type: ignore[no-any-return]
 
 
 def write_maps(
@@ -80,8 +88,8 @@ def write_maps(
     maps: Mapping[str, Array],
     grid: PixelGrid,
     *,
-    white: float | None,
-    icc: bytes | None,
+    coloured: Path,
+    absolute: bool,
     progress: Progress,
     integrated: Array | None = None,
     perspective: bool = False,
@@ -97,10 +105,10 @@ def write_maps(
         Of `open_maps`.
     grid : PixelGrid
         Where the pixels are.
-    white : float or None
-        Albedo of the white plate, which makes the albedo absolute; None without a plate.
-    icc : bytes or None
-        Colour profile of the photographs, kept in the albedo and the reflection map.
+    coloured : Path
+        Where the albedo and the reflection map are, as they leave the system.
+    absolute : bool
+        Whether the albedo is; a relative one is made brighter for its view.
     progress : callable
         Told the share done.
     integrated : (H, W) array, optional
@@ -139,7 +147,10 @@ def write_maps(
         description="Standard uncertainty of the normal, degrees: 68 % of all normals are off by no more; NaN "
         "where not known",
     )
-    _write_colours(folder, maps["albedo"], maps["apparent"], grid, white, icc, compression)
+    for name in COLOURS:
+        _pass_on(coloured / f"{name}.tif", folder / f"{name}.tif", grid, compression)
+    exposure = 1.0 if absolute else _exposure(maps["albedo"])
+    write_albedo_view(folder / "albedo_view.tif", maps["albedo"], grid, exposure, compression)
     progress(0.9)
     said = {"height": f"Height in {grid.unit}, its constant free; {FRAME}"}
     if "trend" in maps:
@@ -150,45 +161,19 @@ def write_maps(
     progress(1.0)
 
 
-def _write_colours(
-    folder: Path,
-    albedo: Array,
-    apparent: Array,
-    grid: PixelGrid,
-    white: float | None,
-    icc: bytes | None,
-    compression: Compression,
-) -> None:
-    """Write the albedo, a view of it, and the reflection map."""
-    said = "linear, relative (there was no white reference)"
-    scale, exposure = np.float32(1), 1.0
-    if white is not None:
-        said = f"linear, 1 is a perfect diffuser (white reference of reflectance {white:g})"
-        scale, exposure = np.float32(white), float(white)
-    elif (values := sampled(albedo)).size and (bright := float(np.percentile(values, 99.5))) > 0:
-        exposure = 0.9 / bright
+def _exposure(albedo: Array) -> float:
+    """What makes the brightest parts of a relative albedo nearly white."""
+    values = sampled(albedo)
+    bright = float(np.percentile(values, 99.5)) if values.size else 0.0
+    return 0.9 / bright if bright > 0 else 1.0
 
-    def reflection(band: slice) -> Array:
-        part: Array = scale * apparent[band]
-        part -= scale * albedo[band]
-        return part
 
-    places = list(export.bands(grid.rows, albedo[:1].nbytes))
-    shape = (*grid.shape, 3) if albedo.shape[2:] == (3,) else grid.shape
-    tiff = partial(
-        export.write_bands, shape=shape, dtype=np.float32, grid=grid, icc=icc, compression=compression
-    )
-    tiff(
-        folder / "albedo.tif",
-        in_order(lambda band: scale * albedo[band], places),
-        description=f"Albedo; {said}; NaN where not known",
-    )
-    write_albedo_view(folder / "albedo_view.tif", albedo, grid, exposure, compression)
-    tiff(
-        folder / "reflection.tif",
-        in_order(reflection, places),
-        description=f"Apparent colour (mean over the lamps) minus albedo; {said}; signed",
-    )
+def _pass_on(source: Path, target: Path, grid: PixelGrid, compression: Compression) -> None:
+    """Write a map that is finished: as a link where nothing is to be changed, it takes no second place."""
+    if compression == "none":
+        link_or_copy(source, target)
+    else:
+        export.write_again(source, target, grid, compression)
 
 
 def _normals(
@@ -273,7 +258,7 @@ def write_report(
     numbers = quality.measure(maps, grid, tile.lamps)
     numbers += quality.of_agreement(read_agreement(store.path(normals)), tile.lamps)
     lights = json.loads((made["lights"] / "lights.json").read_text())
-    white = json.loads((made["maps"] / RECORD).read_text())["facts"]["white_reflectance"]
+    white = white_reflectance(store, normals)
     uncertainty = tile.stand.uncertainty_mm if tile.stand else None
     field = LightField.from_record(lights)
     wrong = uncertainty and position_uncertainty(
@@ -283,6 +268,10 @@ def write_report(
     check = read_flat_check(made["plate"]) if "plate" in made else None
     absent = NOT_MEASURED if white is not None else NOT_IN_RECIPE
     numbers += quality.of_flat(check, tile.stand.name if tile.stand else None, absent)
+    flat = made["plate"] if white is not None else None
+    numbers += of_flat_levels(
+        maps["plate"] if flat else None, field.power, read_noise(flat) if flat else None, tile.lamps, absent
+    )
     if height.stage == "level":
         numbers += quality.of_level(read_level(store.path(height)))
     numbers = quality.grouped(numbers)

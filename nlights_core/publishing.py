@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 from collections.abc import Mapping
 from contextlib import suppress
@@ -11,7 +10,7 @@ from pathlib import Path
 
 from nlights_core.capture import Tile
 from nlights_core.products import WHAT
-from nlights_core.store import ArtefactRef, Store, draft_name, sweep
+from nlights_core.store import ArtefactRef, Store, draft_name, link_or_copy, sweep
 
 
 def publish(store: Store, tile: Tile, refs: Mapping[str, ArtefactRef], out: Path) -> Path:
@@ -55,7 +54,8 @@ def publish(store: Store, tile: Tile, refs: Mapping[str, ArtefactRef], out: Path
     draft.mkdir()
     try:
         for path in files:
-            _place(path, draft / path.name)
+            path.chmod(0o444)
+            link_or_copy(path, draft / path.name)
         if target.is_dir():
             for path in target.iterdir():
                 if path.name not in WHAT and path.name != "evaluation.json":
@@ -87,14 +87,3 @@ def _copy(source: Path, target: Path) -> None:
         shutil.copytree(source, target, symlinks=True)
     else:
         shutil.copy2(source, target, follow_symlinks=False)
-
-
-def _place(source: Path, target: Path) -> None:
-    source.chmod(0o444)
-    try:
-        os.link(source, target)
-    except OSError:
-        try:
-            shutil.copyfile(source, target)
-        except OSError as fault:  # it names the source, which is not at fault
-            raise OSError(fault.errno, fault.strerror, str(target)) from fault

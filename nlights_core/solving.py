@@ -1,7 +1,7 @@
 """The normal stage's work: solve bands of a tile and write what was found.
 
-Files, all on the photograph's grid: ``normals.npy`` (H, W, 3), ``albedo.npy`` (H, W, C),
-``apparent.npy`` (H, W, C), ``confidence.npy`` and ``residual.npy`` (H, W), all float32, and
+Files, all on the photograph's grid: ``normals.npy`` (H, W, 3), ``albedo.tif`` and ``reflection.tif``
+(H, W[, 3]) as they leave the system, ``confidence.npy`` and ``residual.npy`` (H, W), all float32, and
 ``used.npy``, ``saturated.npy`` and ``shadow.npy`` (H, W) uint8: counts of lights.  ``frames.npy``
 (L, h, w, C) float32 are small views of the photographs.  ``agreement.json`` is what
 `nlights_core.agreement` found.
@@ -20,7 +20,8 @@ from nlights_core import verbs
 from nlights_core.agreement import AgreementMeter, write_agreement
 from nlights_core.algorithms import NormalSolver, Solution
 from nlights_core.arrays import BandWriter, write_array
-from nlights_core.development import Band, Darkroom
+from nlights_core.development import Band, Darkroom, Rows
+from nlights_core.export import BandTiff
 from nlights_core.fields import LightField
 from nlights_core.frames import Array
 from nlights_core.kernels import Images, kernel_of
@@ -30,6 +31,12 @@ from nlights_core.store import Progress
 
 SHADOW = 0.02
 """A light that shows less than this share of what the brightest one shows is counted as shadow."""
+
+COLOURS = {
+    "albedo": "Albedo; {}; NaN where not known",
+    "reflection": "Apparent colour (mean over the lamps) minus albedo; {}; signed",
+}
+"""What the maps in colour say of themselves."""
 
 AMBIENT_ROUNDS = 4
 """Ambient light is a share of an albedo that is itself solved for; the fixed point of that is
@@ -41,10 +48,11 @@ def solve(
     solver: NormalSolver,
     lights: LightField,
     plate: Plate | None,
-    height: Array | None,
+    height: Rows | None,
     folder: Path,
     progress: Progress,
     bias: Array | None = None,
+    white: float | None = None,
 ) -> None:
     """Solve a tile band by band into a folder.
 
@@ -64,17 +72,17 @@ def solve(
         Told the share done.
     bias : (H, W, 3) array, optional
         Subtracted from the normals, which are then made unit again.
+    white : float, optional
+        Albedo of the white plate, which makes the albedo absolute; None without a photographed plate.
 
     Raises
     ------
     TileError
         When a photograph cannot be read or says nothing.
     """
-    shape, channels = room.grid.shape, room.info.channels
+    shape, scale = room.grid.shape, 1.0 if white is None else white
     files = {
         "normals": ((*shape, 3), np.float32),
-        "albedo": ((*shape, channels), np.float32),
-        "apparent": ((*shape, channels), np.float32),
         "confidence": (shape, np.float32),
         "residual": (shape, np.float32),
         "used": (shape, np.uint8),
@@ -87,14 +95,16 @@ def solve(
         from nlights_core.fused_solving import FusedSolver
 
         assert isinstance(solver, UsableLights)
-        strips = FusedSolver(room, solver, kernel, lights, plate, height, SHADOW).strips(meter)
+        strips = FusedSolver(room, solver, kernel, lights, plate, height, SHADOW, scale).strips(meter)
     else:
-        strips = _by_bands(room, solver, lights, plate, height, meter)
+        strips = _by_bands(room, solver, lights, plate, height, scale, meter)
     with ExitStack() as stack:
-        out = {
+        out: dict[str, BandWriter | BandTiff] = {
             name: stack.enter_context(BandWriter(folder / f"{name}.npy", *kind))
             for name, kind in files.items()
         }
+        for name in COLOURS:
+            out[name] = stack.enter_context(_coloured(folder / f"{name}.tif", room, white))
         for start, stop, images in strips:
             for name, image in images._asdict().items():
                 if name == "normals" and bias is not None:
@@ -106,12 +116,23 @@ def solve(
     write_array(folder / "frames.npy", room.views())
 
 
+def _coloured(path: Path, room: Darkroom, white: float | None) -> BandTiff:
+    """A map in colour, as it leaves the system: the bytes are written once, and linked from then on."""
+    said = "linear, relative (there was no white reference)"
+    if white is not None:
+        said = f"linear, 1 is a perfect diffuser (white reference of reflectance {white:g})"
+    shape = (*room.grid.shape, 3) if room.info.channels == 3 else room.grid.shape
+    what = COLOURS[path.stem].format(said)
+    return BandTiff(path, shape, np.float32, grid=room.grid, description=what, icc=room.info.icc)
+
+
 def _by_bands(
     room: Darkroom,
     solver: NormalSolver,
     lights: LightField,
     plate: Plate | None,
-    height: Array | None,
+    height: Rows | None,
+    scale: float,
     meter: AgreementMeter,
 ) -> Iterator[tuple[int, int, Images]]:
     """Solve with a solver that sees one band of plain arrays at a time."""
@@ -119,13 +140,14 @@ def _by_bands(
         found = solved(solver, band)
         shading = _shading(found, band)
         meter.add(band)
+        albedo = np.float32(scale) * coloured_albedo(band.images, shading, found.weights)
         yield (
             band.start,
             band.stop,
             Images(
                 normals=found.normals,
-                albedo=coloured_albedo(band.images, shading, found.weights),
-                apparent=_apparent(band),
+                albedo=albedo,
+                reflection=np.float32(scale) * _apparent(band) - albedo,
                 confidence=found.confidence,
                 residual=relative_residual(band.grey, shading, found),
                 used=_count(found.weights > 0),

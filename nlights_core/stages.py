@@ -24,6 +24,7 @@ from nlights_core.algorithms import (
     NormalSolver,
 )
 from nlights_core.arrays import BandWriter, read_array, write_array
+from nlights_core.band_threads import in_order
 from nlights_core.block_means import block_means
 from nlights_core.capture import Tile
 from nlights_core.development import bands, darkroom
@@ -35,8 +36,8 @@ from nlights_core.images import Photograph, reduced
 from nlights_core.levelling import Level, read_level, write_level
 from nlights_core.memory import require
 from nlights_core.noise import read_noise, write_noise
+from nlights_core.overview import Enlarged, block_edge, reduced_room
 from nlights_core.overview import overview as find_overview
-from nlights_core.overview import reduced_room, write_enlarged
 from nlights_core.plates import block_size, continued, read_plate, vignetting, write_plate
 from nlights_core.product_stages import maps, mesh, report
 from nlights_core.refinement import refined
@@ -75,7 +76,7 @@ def _photographed(store: Store, tile: Tile, which: str) -> dict[str, Any]:
             "flats to artwork.yaml, or choose another detrend.images (inverse-square)"
         )
     stand = tile.stand
-    digests = {lamp: store.digest(path) for lamp, path in paths.items()}
+    digests = dict(zip(paths, in_order(store.digest, paths.values()), strict=True))
     seen: dict[str, str] = {}
     for lamp, digest in digests.items():
         if digest in seen:
@@ -226,12 +227,12 @@ def overview(store: Store, tile: Tile, lights: ArtefactRef, plate: ArtefactRef |
         with store.scratch() as scratch, darkroom(tile, scratch) as room:
             noise = read_noise(store.path(plate)) if plate else None
             room.noise = noise or room.noise
-            small, factor = reduced_room(room, lambda share: progress(0.7 * share))
+            small = reduced_room(room, lambda share: progress(0.7 * share))
             grid = room.grid
         levels = noise is not None and field.near and grid.unit == "mm"
         height, level = find_overview(small, field, flat, passes, levels)
         write_level(folder, level)
-        write_enlarged(folder / "height.npy", height, factor, grid.shape)
+        write_array(folder / "height.npy", height)
 
     return Work(ref, record, make)
 
@@ -244,25 +245,30 @@ def normals(
     plate: ArtefactRef | None = None,
     bias: ArtefactRef | None = None,
     height: ArtefactRef | None = None,
+    photographed: bool = False,
 ) -> Work:
     """Normals and what is solved with them; the files are listed in `nlights_core.solving`.
 
-    ``height`` is the `overview`, where there is one.
+    ``height`` is the `overview`, where there is one.  ``photographed``: the plate is, so that it
+    makes the albedo absolute.
     """
     facts = _photographed(store, tile, "frames")
+    white = facts["white_reflectance"] = tile.white_reflectance if photographed else None
     inputs = {"lights": lights, "plate": plate, "bias": bias, "height": height}
     ref, record = describe("normals", tile.artwork, tile.name, algorithm=solver, inputs=inputs, facts=facts)
 
     def make(folder: Path, progress: Progress) -> None:
         field, flat = read_lights(store, lights), read_plate(store.path(plate)) if plate else None
-        before = read_array(store.path(height) / "height.npy") if height else None
+        before = None
         if height:
+            shape = grid_of(tile, survey(tile)).shape
+            before = Enlarged(read_array(store.path(height) / "height.npy"), block_edge(shape[1]), shape)
             field = field.stronger(read_level(store.path(height)).strengths)
         removed = read_array(store.path(bias) / "bias.npy") if bias else None
         with store.scratch() as scratch, darkroom(tile, scratch) as room:
             if plate:
                 room.noise = read_noise(store.path(plate)) or room.noise
-            solving.solve(room, solver, field, flat, before, folder, progress, removed)
+            solving.solve(room, solver, field, flat, before, folder, progress, removed, white)
 
     return Work(ref, record, make)
 

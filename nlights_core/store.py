@@ -224,6 +224,23 @@ def make_writable(folder: Path, option: str) -> None:
         ) from fault
 
 
+def link_or_copy(source: Path, target: Path) -> None:
+    """Give a file a second name, so that it takes no second place; copy it where the file system cannot.
+
+    Raises
+    ------
+    OSError
+        Naming the target, for a full disk and the like.
+    """
+    try:
+        os.link(source, target)
+    except OSError:
+        try:
+            shutil.copyfile(source, target)
+        except OSError as fault:  # it names the source, which is not at fault
+            raise OSError(fault.errno, fault.strerror, str(target)) from fault
+
+
 def write_whole(path: Path, text: str) -> None:
     """Write a small text file so that it appears whole or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -44,18 +44,18 @@ def digitise_tile(
     overview = trend = None
     if recipe.passes > 1:
         overview = call(stages.overview, tile, lights, plate, recipe.passes - 1)
-    normals = call(stages.normals, tile, recipe.normals, lights, plate, bias, overview)
+    # Only a photographed plate knows what white is.
+    white = detrend.images is not None and "flats" in detrend.images.needs
+    normals = call(stages.normals, tile, recipe.normals, lights, plate, bias, overview, white)
     height = integrated = call(stages.height, tile, recipe.integrator, normals)
     if detrend.height:
         height = trend = call(stages.trend, tile, detrend.height, height)
     if _levels(recipe):
         height = call(stages.level, tile, lights, plate, height, overview)
 
-    # Only a photographed plate knows what white is.
-    white = plate if detrend.images and "flats" in detrend.images.needs else None
     perspective = recipe.integrable and getattr(recipe.integrator, "perspective", False)
     surface = integrated if recipe.integrable else None
-    maps = call(stages.maps, tile, normals, height, white, trend, surface, perspective, compression)
+    maps = call(stages.maps, tile, normals, height, trend, surface, perspective, compression)
     mesh = call(stages.mesh, tile, maps, height)
     record = recipe_record(recipe)
     report = call(stages.report, tile, record, lights, plate, bias, normals, height, trend, maps, mesh)

@@ -20,7 +20,9 @@ from nlights_plugins.robust import Robust
 
 pytest.importorskip("numba")
 
-FILES = ("normals", "albedo", "apparent", "confidence", "residual", "used", "saturated", "shadow", "frames")
+ARRAYS = ("normals", "confidence", "residual", "used", "saturated", "shadow", "frames")
+COLOURS = ("albedo", "reflection")
+FILES = ARRAYS + COLOURS
 STAND = load_stand("horizontal")
 
 
@@ -55,10 +57,11 @@ def height(tile) -> np.ndarray:
 def found(tile, solver, lights, flat, surface, folder, bias=None) -> dict[str, np.ndarray]:
     folder.mkdir()
     with darkroom(tile, folder) as room:
-        solving.solve(room, solver, lights, flat, surface, folder, lambda share: None, bias)
+        solving.solve(room, solver, lights, flat, surface, folder, lambda share: None, bias, 0.9)
         account = [(e.pixels, e.saturated, e.total) for e in room.exposures.values()]
     agreement = json.loads((folder / "agreement.json").read_text())
-    images = {name: np.load(folder / f"{name}.npy") for name in FILES}
+    images = {name: np.load(folder / f"{name}.npy") for name in ARRAYS}
+    images |= {name: tifffile.imread(folder / f"{name}.tif") for name in COLOURS}
     return images | {"account": np.array(account), "held_out": np.array(agreement["held_out"])}
 
 
@@ -79,7 +82,7 @@ def assert_both_agree(
     assert len(calls) == 1
     for name in ("used", "saturated", "shadow"):
         np.testing.assert_array_equal(fused[name], plain[name], name)
-    for name in ("normals", "albedo", "apparent", "residual", "frames", "account", "held_out"):
+    for name in ("normals", "albedo", "reflection", "residual", "frames", "account", "held_out"):
         np.testing.assert_allclose(fused[name], plain[name], rtol=1e-4, atol=1e-5, err_msg=name)
     np.testing.assert_allclose(fused["confidence"], plain["confidence"], rtol=1e-3)
     return plain

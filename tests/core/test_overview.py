@@ -8,7 +8,7 @@ from nlights_core.configurations import load_stand
 from nlights_core.development import darkroom
 from nlights_core.fields import LightField
 from nlights_core.manifest import load_capture
-from nlights_core.overview import reduced_room, write_enlarged
+from nlights_core.overview import Enlarged, block_edge, reduced_room
 from nlights_core.recipe import load_recipe
 from nlights_core.stages import lights, overview, plate
 from nlights_core.store import Store
@@ -27,10 +27,10 @@ def test_blocks_hold_the_means_of_their_pixels_and_know_saturation(relief, tmp_p
     tile = load_capture(relief)[0]
     first = next(iter(tile.frames.values()))
     with darkroom(tile, tmp_path) as room:
-        small, factor = reduced_room(room, lambda _: None)
+        small = reduced_room(room, lambda _: None)
         unit = LightField(tile.lamps, positions=load_stand("vertical-dark").lamp_positions())
         raw = small.raw(10, 12, unit)
-    assert factor == 2
+    assert block_edge(1050) == 2
     assert small.grid.shape == (tifffile.imread(first).shape[0] // 2, 525)
     assert small.grid.pixel_size == pytest.approx(2 * 500 / 1050)
     light = tifffile.imread(first)[20:24, :1050] / 65535 - tifffile.imread(tile.dark)[20:24, :1050] / 65535
@@ -40,25 +40,23 @@ def test_blocks_hold_the_means_of_their_pixels_and_know_saturation(relief, tmp_p
 
 
 @pytest.mark.parametrize("factor", [1, 3, 4])
-def test_a_plane_comes_back_to_its_pixels(tmp_path, factor):
+def test_a_plane_comes_back_to_its_pixels(factor):
     shape = (41, 62)
     row, column = np.indices(shape, dtype=np.float32)
     plane = 0.5 * column - 0.2 * row
     rows, columns = (n // factor for n in shape)
     blocks = plane[: rows * factor, : columns * factor].reshape(rows, factor, columns, factor)
-    write_enlarged(tmp_path / "height.npy", blocks.mean(axis=(1, 3)), factor, shape)
-    found = np.load(tmp_path / "height.npy")
+    found = Enlarged(blocks.mean(axis=(1, 3)), factor, shape)[0:41]
     assert found.shape == shape
     assert found.dtype == np.float32
     inner = (slice(factor, rows * factor - factor), slice(factor, columns * factor - factor))
     np.testing.assert_allclose(found[inner], plane[inner], atol=1e-4)
 
 
-def test_what_is_not_known_takes_the_nearest_height(tmp_path):
+def test_what_is_not_known_takes_the_nearest_height():
     height = np.full((6, 8), 2.0, np.float32)
     height[2:, 5:] = np.nan
-    write_enlarged(tmp_path / "height.npy", height, 3, (18, 24))
-    np.testing.assert_array_equal(np.load(tmp_path / "height.npy"), 2)
+    np.testing.assert_array_equal(Enlarged(height, 3, (18, 24))[4:17], np.full((13, 24), 2))
 
 
 def test_the_height_of_a_relief_is_found_to_some_hundredths(relief, tmp_path):
@@ -69,8 +67,8 @@ def test_the_height_of_a_relief_is_found_to_some_hundredths(relief, tmp_path):
     store.ensure(flat)
     work = overview(store, tile, lamps.ref, flat.ref, 2)
     store.ensure(work)
-    found = np.load(store.path(work.ref) / "height.npy")
     truth = tifffile.imread(relief / "truth" / "height.tif")
+    found = Enlarged(np.load(store.path(work.ref) / "height.npy"), 2, truth.shape)[0 : len(truth)]
     # The constant is found as well: the height counts from the plane of the flat.
     assert np.abs((found - truth).mean()) < 0.06
     assert np.std(found - truth) < 0.05
@@ -97,6 +95,7 @@ def test_a_drift_of_the_lamps_does_not_bend_the_height_that_it_is_found_with(rel
         work = overview(store, tile, lamps.ref, flat.ref, passes)
         store.ensure(work)
         truth = tifffile.imread(relief / "truth" / "height.tif")
-        deviations.append(np.std(np.load(store.path(work.ref) / "height.npy") - truth))
+        found = Enlarged(np.load(store.path(work.ref) / "height.npy"), 2, truth.shape)
+        deviations.append(np.std(found[0 : len(truth)] - truth))
     assert deviations[0] > 0.3
     assert deviations[1] < 0.15

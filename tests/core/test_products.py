@@ -23,7 +23,7 @@ def maps():
     found = {
         "normals": noisy / np.linalg.norm(noisy, axis=-1, keepdims=True),
         "albedo": rng.uniform(0.1, 0.8, (*GRID.shape, 3)),
-        "apparent": rng.uniform(0.1, 0.8, (*GRID.shape, 3)),
+        "reflection": rng.uniform(-0.1, 0.1, (*GRID.shape, 3)),
         "confidence": rng.uniform(0.1, 0.3, GRID.shape),
         "height": rng.normal(0, 0.1, GRID.shape),
         "trend": rng.normal(0, 0.1, GRID.shape),
@@ -35,9 +35,13 @@ def maps():
 
 def written(folder, maps, **options):
     folder.mkdir()
+    coloured = folder.parent / f"{folder.name}-coloured"
+    coloured.mkdir()
+    for name in ("albedo", "reflection"):
+        export.write_tiff(coloured / f"{name}.tif", maps[name], GRID, description=name)
     options = {
-        "white": 0.9,
-        "icc": None,
+        "coloured": coloured,
+        "absolute": True,
         "progress": lambda share: None,
         "integrated": maps["height"],
         "perspective": True,
@@ -52,8 +56,8 @@ def test_each_map_holds_what_it_says(tmp_path, maps):
     expected = {
         "normals": corrected,
         "confidence": integrable_uncertainty(maps["confidence"], 0, 60),
-        "albedo": np.float32(0.9) * maps["albedo"],
-        "reflection": np.float32(0.9) * maps["apparent"] - np.float32(0.9) * maps["albedo"],
+        "albedo": maps["albedo"],
+        "reflection": maps["reflection"],
         "height": maps["height"],
         "trend": maps["trend"],
     }
@@ -88,7 +92,7 @@ def test_compression_changes_no_value(tmp_path, maps):
 
 def test_a_relative_albedo_is_shown_bright_but_kept_as_it_is(tmp_path, maps):
     dark = maps | {"albedo": maps["albedo"] / 100}
-    written(tmp_path / "m", dark, white=None)
+    written(tmp_path / "m", dark, absolute=False)
     np.testing.assert_array_equal(tifffile.imread(tmp_path / "m" / "albedo.tif"), dark["albedo"])
     assert 60_000 < tifffile.imread(tmp_path / "m" / "albedo_view.tif").max() <= 65_535
 

@@ -88,14 +88,10 @@ def test_the_albedo_and_its_scale_agree_with_the_truth(digitised, painting):
     assert np.median(np.abs(found - truth) / truth) < 0.01
 
 
-def test_the_reflection_map_is_the_apparent_colour_minus_the_albedo(digitised):
+def test_the_reflection_map_of_a_matt_surface_is_nothing_on_average(digitised):
     folder = digitised / "simulated-painting" / "r0c0"
     reflection, albedo = (tifffile.imread(folder / f"{name}.tif") for name in ("reflection", "albedo"))
-    passes = (digitised / ".store" / "simulated-painting" / "r0c0").glob("normals-*")
-    last = max(passes, key=lambda path: path.stat().st_mtime)
-    apparent = 0.9 * np.load(last / "apparent.npy")
-    np.testing.assert_allclose(reflection, apparent - albedo, atol=1e-6)
-    assert np.abs(np.mean(reflection)) < 0.01  # a matt surface shows its albedo, on average
+    assert np.abs(np.mean(reflection)) < 0.01 < np.mean(albedo)
 
 
 def test_a_second_run_changes_nothing_and_says_so(digitised, painting):
