@@ -2,7 +2,7 @@
 PYTHON_IN = .venv/bin
 READY = .venv/.ready
 
-.PHONY: bench demo test lint package check docs format clean
+.PHONY: bench demo night-demo test lint package check docs format clean
 
 demo: $(READY) ## a simulated capture of the horizontal stand, measured from photographs to report
 	@rm -rf demo/capture
@@ -11,6 +11,9 @@ demo: $(READY) ## a simulated capture of the horizontal stand, measured from pho
 	$(PYTHON_IN)/nlights evaluate demo/products/simulated-painting/r0c0 --truth demo/capture/truth
 	@echo
 	@echo "Look at demo/products/simulated-painting/r0c0/report.html"
+
+night-demo: $(READY) ## a night with PostgreSQL, a Prefect server and a worker, all on this machine
+	$(PYTHON_IN)/python deploy/night_demo.py $(OPTIONS)
 
 test: $(READY) ## all tests
 	$(PYTHON_IN)/python -m pytest

@@ -12,7 +12,7 @@ import typer
 
 from nlights_core import __version__
 from nlights_core.errors import NlightsError
-from nlights_flows import compare_command, plugin_commands
+from nlights_flows import compare_command, nightly_command, plugin_commands
 
 INTERRUPTED = 130
 
@@ -400,6 +400,7 @@ def _prepared(
 
 
 compare_command.register(app)
+nightly_command.register(app)
 plugin_commands.register(app)
 
 

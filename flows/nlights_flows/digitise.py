@@ -4,7 +4,10 @@
 import errno
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +23,25 @@ from nlights_core.manifest import load_capture
 from nlights_core.recipe import load_recipe
 from nlights_core.store import ArtefactRef, Store, make_writable
 from nlights_flows import isolation
-from nlights_flows.running import Outcome, exit_code, explained, run_tile
+from nlights_flows.running import Around, Outcome, exit_code, explained, run_tile
 
 LASTING = {errno.ENOSPC, errno.EDQUOT, errno.ENOENT, errno.EACCES, errno.EPERM, errno.EROFS}
 """Faults of the operating system that stay until somebody acts."""
+
+_around: ContextVar[Around] = ContextVar("around", default=lambda tile, run: run())
+
+
+@contextmanager
+def each_tile_through(around: Around) -> Iterator[None]:
+    """Let a night decide, tile by tile, whether the flow inside this block runs it.
+
+    A parameter of a flow must be plain JSON, and this is a function.
+    """
+    token = _around.set(around)
+    try:
+        yield
+    finally:
+        _around.reset(token)
 
 
 def _may_pass(task: Any, task_run: TaskRun, state: State[Any]) -> bool:
@@ -107,17 +125,23 @@ def digitise(
     kept = Store(Path(store) if store else Path(out) / ".store")
     kept.prepare()
     make_writable(Path(out), "--out")
-    outcomes = []
+    outcomes, put_off = [], 0
     for tile in found:
         if tiles and tile.name not in tiles:
             continue
-        outcome = _run_tile(tile, chosen, kept, Path(out), compression, timeout)
+        run = partial(_run_tile, tile, chosen, kept, Path(out), compression, timeout)
+        outcome = _around.get()(tile, run)
+        if outcome is None:
+            put_off += 1
+            continue
         outcomes.append(outcome)
         if outcome.state == "failed":
             logger.error("%s: %s", tile.name, outcome.message)
     failed = [outcome for outcome in outcomes if outcome.state == "failed"]
     message = f"{len(outcomes) - len(failed)} of {len(outcomes)} tiles done"
-    if exit_code(outcomes):
+    if put_off:
+        message += f", {put_off} put off"
+    if exit_code(outcomes) and (outcomes or not put_off):
         reasons = "".join(f"\n{o.tile}: {o.message}" for o in failed)
         return Failed(message=message + reasons, data=outcomes)
     return Completed(message=message, data=outcomes)

@@ -19,6 +19,7 @@ from nlights_core.store import ArtefactRef, Store
 from nlights_core.surveys import survey
 from nlights_flows import isolation
 from nlights_flows.chain import digitise_tile
+from nlights_flows.photographs import Photographs
 
 
 @dataclass(frozen=True)
@@ -46,6 +47,9 @@ class Outcome:
     message: str = ""
     seconds: float = 0.0
 
+
+Around = Callable[[Tile, Callable[[], Outcome]], Outcome | None]
+"""Told a tile and how to run it, right before it would be run; None when it declined to."""
 
 Watch = Callable[[str, str, float], None]
 """Told tile, stage and the stage's share done (1 when it ended)."""
@@ -88,7 +92,10 @@ def run_tile(
         The folder of the products.
     """
     require_memory(tile, recipe)
-    return publish(store, tile, digitise_tile(tile, recipe, call, compression), out)
+    photographs = Photographs.of(tile, recipe, store)
+    refs = digitise_tile(tile, recipe, call, compression)
+    photographs.require_unchanged()
+    return publish(store, tile, refs, out)
 
 
 def require_memory(tile: Tile, recipe: Recipe) -> None:
@@ -132,7 +139,8 @@ def run_directly(
         work = stage(store, tile, *arguments)
 
         def told(share: float) -> None:
-            watch(tile.name, name, min(share, 0.99))
+            # 0 and 1 are said here alone: a stage begins once and ends once.
+            watch(tile.name, name, min(max(share, 0.01), 0.99))
 
         if not isolation.ensure(store, work, tile, arguments, told, timeout):
             made.append(name)

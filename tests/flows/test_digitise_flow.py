@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import socket
 import subprocess
 import sys
@@ -11,6 +12,7 @@ import urllib.request
 from pathlib import Path
 
 import pytest
+import yaml
 
 BIN = Path(sys.executable).parent
 SWITCHES = {
@@ -130,6 +132,35 @@ def test_a_bad_tile_fails_the_flow_and_the_other_tile_is_done(two_tiles, tmp_pat
     ]
     assert len(failed) == 1
     assert failed[0]["run_count"] == 1  # a missing photograph is not mended by a retry
+
+
+def test_a_night_runs_a_subflow_per_artwork_and_one_bad_artwork_stops_no_other(painting, tmp_path, api):
+    url, environment = api
+    for name, title in (("inv-9", "<b>Good | *fine*</b>"), ("inv-8", "Bad")):
+        folder = tmp_path / "inbox" / name
+        shutil.copytree(painting, folder, ignore=shutil.ignore_patterns("truth"))
+        described = yaml.safe_load((folder / "artwork.yaml").read_text())
+        described["artwork"] = {"id": name, "title": title}
+        (folder / "artwork.yaml").write_text(yaml.safe_dump(described))
+        (folder / "upload-complete").touch()
+    # What headers do not tell fails while it runs: two lamps have the same photograph.
+    shutil.copy(tmp_path / "inbox" / "inv-8" / "light_1.tif", tmp_path / "inbox" / "inv-8" / "light_2.tif")
+    out = tmp_path / "out"
+    done = nlights(environment, "nightly", tmp_path / "inbox", "--out", out, code=1)
+    assert "1 of 2 artworks done, 1 failed" in done.stdout
+    runs = post(f"{url}/flow_runs/filter", {"sort": "START_TIME_DESC", "limit": 3})
+    ended = {run["name"]: run["state"]["type"] for run in runs}
+    assert ended["inv-9"] == "COMPLETED"
+    assert ended["inv-8"] == "FAILED"
+    night = next(run for run in runs if run["name"] not in ("inv-8", "inv-9"))
+    assert night["state"]["type"] == "FAILED"
+    assert "1 of 2 artworks done" in night["state"]["message"]
+    assert all(run["parent_task_run_id"] for run in runs if run is not night)
+    (shown,) = post(f"{url}/artifacts/filter", {"artifacts": {"key": {"any_": ["night"]}}})
+    assert len(shown["data"]) < 64_000
+    assert "data:image/jpeg" in shown["data"]
+    assert "&lt;b&gt;Good \\| \\*fine\\*&lt;/b&gt;" in shown["data"]
+    assert (out / "night.html").is_file()
 
 
 def test_a_bad_recipe_stops_the_command_before_prefect_starts(painting, tmp_path, api):

@@ -1,0 +1,216 @@
+"""The command `nlights nightly`: an inbox of artworks, digitised over night, and one page in the morning."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from nlights_flows.night_order import Order
+
+
+class Compression(StrEnum):
+    """How the TIFFs among the products are compressed."""
+
+    NONE = "none"
+    ZSTD = "zstd"
+
+
+def nightly(
+    inbox: Annotated[
+        Path, typer.Argument(metavar="INBOX", help="Folder into which captures are uploaded, a folder each.")
+    ],
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where products and pages go.")],
+    recipe: Annotated[
+        str, typer.Option("--recipe", metavar="RECIPE", help="A shipped recipe or a file.")
+    ] = "default",
+    store: Annotated[
+        Path | None,
+        typer.Option("--store", metavar="DIR", help="Where the artefacts are kept; OUT/.store if not given."),
+    ] = None,
+    until: Annotated[
+        str | None,
+        typer.Option(
+            "--until", metavar="HH:MM", help="Start nothing that would not end by then (the next such time)."
+        ),
+    ] = None,
+    limits: Annotated[
+        str,
+        typer.Option(
+            "--limits", metavar="FILE", help="Limits of the quality numbers; the shipped ones by default."
+        ),
+    ] = "default",
+    settle: Annotated[
+        float,
+        typer.Option(
+            "--settle",
+            metavar="SECONDS",
+            min=0,
+            help="How long a folder without the file upload-complete must have been quiet.",
+        ),
+    ] = 300.0,
+    compression: Annotated[
+        Compression, typer.Option(help="Of the TIFFs: zstd takes less space and more time than the physics.")
+    ] = Compression.NONE,
+    timeout: Annotated[
+        float | None,
+        typer.Option(metavar="SECONDS", min=1, help="Stop a stage that takes longer; its tile fails."),
+    ] = None,
+    memory: Annotated[
+        str | None,
+        typer.Option(
+            metavar="SIZE", help="Memory that a tile may take, as 6GiB; half of the machine's by default."
+        ),
+    ] = None,
+    plan: Annotated[
+        bool, typer.Option("--plan", help="Print the order and the estimated time; run nothing.")
+    ] = False,
+    runner: Annotated[str, typer.Option("--runner", metavar="NAME", help="Where tiles run: here.")] = "here",
+    address: Annotated[
+        str | None, typer.Option("--address", metavar="ADDRESS", help="Of another runner.")
+    ] = None,
+    prefect: Annotated[
+        bool,
+        typer.Option(
+            "--prefect",
+            help="Run as a Prefect flow; implied where a Prefect API is configured (PREFECT_API_URL).",
+        ),
+    ] = False,
+) -> None:
+    """Digitise every finished upload of an inbox; one page says what became of it.
+
+    Writes the products as `digitise` does, and `OUT/night.html`, which is kept in
+    `OUT/nights/<date>/` too.  Highest priority first, then the oldest upload.  A fault costs its
+    own tile or artwork; what is left is taken up by the next night.
+    """
+    from nlights_flows import environment
+    from nlights_flows.night_order import Order, checked
+
+    order = Order(
+        inbox,
+        out,
+        recipe,
+        store,
+        until,
+        limits,
+        settle,
+        compression.value,
+        timeout,
+        memory,
+        runner,
+        address,
+    )
+    if plan:
+        _show_plan(order)
+        return
+    checked(order)  # a misspelt recipe need not wait for Prefect
+    if prefect or environment.api_configured():
+        _run_flow(order)
+    from nlights_flows.night_record import night_exit_code
+    from nlights_flows.night_running import carry_out, run_here
+
+    record = carry_out(order, run_here)
+    _show(record.as_json(), out)
+    raise typer.Exit(night_exit_code(record))
+
+
+def _run_flow(order: Order) -> None:
+    """Run the night as a flow, and end the command with its exit code."""
+    from nlights_flows import environment
+
+    environment.prepare()
+    from nlights_flows.nightly import nightly as flow
+
+    state: Any = flow(
+        inbox=str(order.inbox),
+        out=str(order.out),
+        recipe=order.recipe,
+        store=str(order.store) if order.store else None,
+        until=order.until,
+        limits=order.limits,
+        settle=order.settle,
+        compression=order.compression,
+        timeout=order.timeout,
+        memory=order.memory,
+        runner=order.runner,
+        address=order.address,
+        return_state=True,
+    )
+    found = state.data if isinstance(state.data, dict) else state.result(raise_on_failure=False)
+    if isinstance(found, BaseException):
+        raise found
+    _show(found["record"], order.out)
+    raise typer.Exit(found["exit_code"])
+
+
+def _show(record: dict[str, Any], out: Path) -> None:
+    """Print what became of the night."""
+    from nlights_flows import console
+
+    for artwork in record["artworks"]:
+        name = artwork["artwork"] or artwork["folder"]
+        if artwork["message"]:
+            console.complain(f"{name}: {artwork['state']}: {artwork['message']}")
+        for tile in artwork["tiles"]:
+            if tile["message"]:
+                console.complain(f"{name}/{tile['tile']}: {tile['state']}: {tile['message']}")
+    print(f"{record['verdict']}; {record['seconds']:.1f} s")
+    print(out / "night.html")
+
+
+def _show_plan(order: Order) -> None:
+    from rich.markup import escape
+    from rich.table import Table
+
+    from nlights_flows import console
+    from nlights_flows.night_checking import plan_night
+    from nlights_flows.night_order import checked
+    from nlights_flows.night_page import duration
+
+    night = checked(order)
+    planned, passed_by, _ = plan_night(night)
+    table = Table(box=None, pad_edge=False)
+    for heading in (
+        "artwork",
+        "priority",
+        "uploaded",
+        "tiles",
+        "done already",
+        "Mpx to run",
+        "takes about",
+        "ends after",
+    ):
+        table.add_column(heading, justify="left" if heading in ("artwork", "uploaded") else "right")
+    total = 0.0
+    for one in planned:
+        total += one.seconds
+        candidate = one.candidate
+        late = ", after --until" if total > night.deadline.left else ""
+        table.add_row(
+            escape(candidate.artwork),
+            str(candidate.priority),
+            f"{datetime.fromtimestamp(candidate.uploaded):%Y-%m-%d %H:%M}",
+            str(len(candidate.tiles)),
+            str(one.finished),
+            f"{one.pixels / 1e6:.4g}",
+            duration(one.seconds),
+            duration(total) + late,
+        )
+    console.show_table(table)
+    for one in planned:
+        for problem in one.problems:
+            console.complain(problem)
+    for passed in passed_by:
+        console.complain(f"{passed.folder}: {'failed' if passed.failed else 'waiting'}: {passed.message}")
+    print(
+        f"{len(planned)} artworks, {sum(len(one.candidate.tiles) for one in planned)} tiles, about {duration(total)}"
+    )
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to the command line."""
+    app.command()(nightly)

@@ -1,0 +1,103 @@
+"""Whether a tile's photographs stayed the same while it ran: an upload may replace one at any time."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+from nlights_core.band_threads import in_order
+from nlights_core.capture import Tile
+from nlights_core.errors import TileError
+from nlights_core.recipe import Recipe
+from nlights_core.stages import FLATS
+from nlights_core.store import Store
+
+Stamp = tuple[int, int, int]
+"""Size, time of change in ns, inode."""
+
+
+@dataclass(frozen=True)
+class Photographs:
+    """What a tile's photographs were when it was begun.
+
+    A stage names its work by the digests of the photographs and reads them afterwards; what is
+    replaced in between would lie in the store under another photograph's name.
+
+    Attributes
+    ----------
+    store, tile : Store, Tile
+        Whose.
+    stamps : dict
+        By file, its stamp and the digest of its content.
+    artefacts : frozenset of Path
+        What the store had of this tile and of its flats.
+    """
+
+    store: Store
+    tile: Tile
+    stamps: dict[Path, tuple[Stamp, str]]
+    artefacts: frozenset[Path]
+
+    @classmethod
+    def of(cls, tile: Tile, recipe: Recipe, store: Store) -> Photographs:
+        """Look at the photographs that a recipe reads.
+
+        The digests are those that the stages ask for anyway, so a file is read once.
+        """
+        flats = any("flats" in algorithm.needs for algorithm in recipe.algorithms())
+        paths = [*tile.frames.values(), *((tile.flats or {}).values() if flats else ())]
+        paths += [path for path in (tile.dark, tile.mask) if path]
+
+        def seen(path: Path) -> tuple[Stamp, str] | None:
+            try:
+                return _stamp(path), store.digest(path)
+            except (OSError, TileError):
+                return None  # the stage that reads it will say what is wrong
+
+        found = zip(paths, in_order(seen, paths), strict=True)
+        stamps = {path: known for path, known in found if known}
+        return cls(store, tile, stamps, frozenset(_artefacts(store, tile)))
+
+    def require_unchanged(self) -> None:
+        """Refuse a tile of which a photograph is not what it was.
+
+        Raises
+        ------
+        TileError
+            Naming them; the artefacts that were made meanwhile are gone from the store.
+        """
+        changed = [path for path, seen in self.stamps.items() if not self._same(path, *seen)]
+        if not changed:
+            return
+        # Nobody can tell what they were made of; deleting artefacts is always safe.
+        for folder in _artefacts(self.store, self.tile) - self.artefacts:
+            shutil.rmtree(folder, ignore_errors=True)
+        names = ", ".join(path.name for path in changed[:3])
+        more = f" and {len(changed) - 3} more" if len(changed) > 3 else ""
+        raise TileError(
+            f"{changed[0].parent}: its photographs were changed while it ran ({names}{more}); nothing was made of "
+            "them; run again when the upload is complete"
+        )
+
+    def _same(self, path: Path, stamp: Stamp, digest: str) -> bool:
+        try:
+            return _stamp(path) == stamp or self.store.digest(path) == digest
+        except (OSError, TileError):
+            return False
+
+
+def _stamp(path: Path) -> Stamp:
+    status = path.stat()
+    return status.st_size, status.st_mtime_ns, status.st_ino
+
+
+def _artefacts(store: Store, tile: Tile) -> set[Path]:
+    """Folders of artefacts, not drafts, of a tile and of the flats of its artwork."""
+    return {
+        folder
+        for name in (tile.name, FLATS)
+        if (place := store.root / tile.artwork / name).is_dir()
+        for folder in place.iterdir()
+        if not folder.name.startswith(".")
+    }
