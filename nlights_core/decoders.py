@@ -68,6 +68,9 @@ class Decoder:
         byte order; ``start`` is a multiple of ``step``, ``stop`` too or the end of the image.
     close : callable
         Closes the file.
+    fill : callable or None
+        ``fill(start, stop, out)`` reads rows right into a contiguous array (stop - start, columns,
+        channels) of ``dtype``, where the file holds them so.
     """
 
     rows: int
@@ -78,6 +81,7 @@ class Decoder:
     step: int
     decode: Callable[[int, int], Array]
     close: Callable[[], None] = lambda: None
+    fill: Callable[[int, int, Array], None] | None = None
 
 
 @contextmanager
@@ -184,6 +188,8 @@ def _open_tiff(path: Path) -> Decoder:
         stored = page.is_final
         rows_of_a_segment = page.tilelength if page.is_tiled else page.rowsperstrip
         rows = _stored_rows if stored else _decoded_rows
+        as_it_is = stored and page.dtype == number and page.samplesperpixel == channels
+        as_it_is &= np.dtype(page.dtype).newbyteorder(file.byteorder).isnative and page.planarconfig == 1
         decoder = Decoder(
             rows=page.imagelength,
             columns=page.imagewidth,
@@ -193,9 +199,17 @@ def _open_tiff(path: Path) -> Decoder:
             step=1 if stored else min(rows_of_a_segment, page.imagelength),
             decode=partial(rows, path, page, channels, number),
             close=file.close,
+            fill=partial(_fill_rows, page) if as_it_is else None,
         )
         undo.pop_all()
     return decoder
+
+
+def _fill_rows(page: tifffile.TiffPage, start: int, stop: int, out: Array) -> None:
+    """Rows of an uncompressed TIFF that need no conversion, with no copy in between."""
+    bytes_per_row = out.nbytes // max(len(out), 1)
+    place = page.dataoffsets[0] + start * bytes_per_row
+    _read_whole(page.parent.filehandle.fileno(), out[: stop - start].reshape(-1).view(np.uint8), place)
 
 
 def _tiff_channels(path: Path, page: tifffile.TiffPage) -> int:

@@ -187,7 +187,12 @@ class Photograph:
         out : (stop - start, columns, channels) array of ``info.dtype``
             Receives it.
         """
-        for numbers in self._numbers(self._open(), start, stop):
+        decoder = self._open()
+        if decoder.fill is not None and out.flags.c_contiguous:
+            with damage_explained(self.path):
+                decoder.fill(start, stop, out)
+            return
+        for numbers in self._numbers(decoder, start, stop):
             out[: len(numbers)] = numbers
             out = out[len(numbers) :]
 

@@ -182,7 +182,8 @@ class Enlarged:
             nearest = distance_transform_edt(unknown, return_distances=False, return_indices=True)
             height = height[tuple(nearest)]
         left, right, across = _between(shape[1], factor, height.shape[1])
-        self._wide = height[:, left] * (1 - across) + height[:, right] * across
+        # What an array of places selects lies in memory column by column; rows are wanted.
+        self._wide = np.ascontiguousarray(height[:, left] * (1 - across) + height[:, right] * across)
         self._above, self._below, self._down = _between(shape[0], factor, height.shape[0])
 
     def __getitem__(self, rows: slice) -> Array:
