@@ -2,7 +2,7 @@
 PYTHON_IN = .venv/bin
 READY = .venv/.ready
 
-.PHONY: bench demo night-demo test lint package check docs format clean
+.PHONY: bench demo faults night-demo test lint package check docs format clean
 
 demo: $(READY) ## a simulated capture of the horizontal stand, measured from photographs to report
 	@rm -rf demo/capture
@@ -14,6 +14,11 @@ demo: $(READY) ## a simulated capture of the horizontal stand, measured from pho
 
 night-demo: $(READY) ## a night with PostgreSQL, a Prefect server and a worker, all on this machine
 	$(PYTHON_IN)/python deploy/night_demo.py $(OPTIONS)
+
+KILLS = 20
+faults: $(READY) ## nights that are killed, KILLS of them, and other faults (some 20 minutes; see docs/faults.md)
+	$(PYTHON_IN)/python deploy/fault_conditions.py
+	$(PYTHON_IN)/python deploy/fault_kills.py --kills $(KILLS) $(OPTIONS)
 
 test: $(READY) ## all tests
 	$(PYTHON_IN)/python -m pytest

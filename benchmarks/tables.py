@@ -61,7 +61,9 @@ def kept(limit_is_kept: bool) -> str:
     return "met" if limit_is_kept else "**missed**"
 
 
-def write(folder: Path, page: str, tables: list[Table], conditions: dict[str, Any]) -> None:
+def write(
+    folder: Path, page: str, tables: list[Table], conditions: dict[str, Any], data: str | None = None
+) -> None:
     """Put tables into a Markdown page and its JSON; all else there stays as it is.
 
     Parameters
@@ -75,16 +77,18 @@ def write(folder: Path, page: str, tables: list[Table], conditions: dict[str, An
         without markers it is appended.
     conditions : dict
         How the figures were made; kept beside each table in the JSON.
+    data : str, optional
+        Name of the JSON, where it is not the page's.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    prose, data = folder / f"{page}.md", folder / f"{page}.json"
+    prose, figures = folder / f"{page}.md", folder / f"{data or page}.json"
     text = prose.read_text(encoding="utf-8") if prose.exists() else f"# {page.capitalize()}\n"
-    record = json.loads(data.read_text(encoding="utf-8")) if data.exists() else {}
+    record = json.loads(figures.read_text(encoding="utf-8")) if figures.exists() else {}
     for table in tables:
         text = inserted(text, table)
         record[table.name] = {"made": conditions, "rows": table.record()}
     prose.write_text(text, encoding="utf-8")
-    data.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+    figures.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
 
 
 def inserted(text: str, table: Table) -> str:

@@ -99,7 +99,7 @@ class Claims:
 
     def _now(self, folder: Path) -> float:
         """Time by the clock that dates the claims: that of the file system, not of this machine."""
-        probe = folder / f".now-{self.run}"
+        probe = folder / f".now-{uuid.uuid4().hex}"  # several threads may ask at once
         probe.touch()
         try:
             return probe.stat().st_mtime
@@ -108,7 +108,7 @@ class Claims:
 
     def _clear(self, path: Path, judged: os.stat_result) -> bool:
         """Take a stale claim out of the way; of several who try, one succeeds."""
-        aside = path.parent / f".stale-{self.run}"
+        aside = path.parent / f".stale-{uuid.uuid4().hex}"
         try:
             path.rename(aside)
             found = aside.stat()

@@ -217,6 +217,13 @@ def digitise(
             metavar="SECONDS", min=1, help="Stop a stage that takes longer; its tile fails, the others go on."
         ),
     ] = None,
+    runner: Annotated[
+        str, typer.Option("--runner", metavar="NAME", help="Where tiles run: here, or dask.")
+    ] = "here",
+    address: Annotated[
+        str | None,
+        typer.Option("--address", metavar="ADDRESS", help="Of the Dask scheduler, as tcp://10.0.0.5:8786."),
+    ] = None,
 ) -> None:
     """Turn the photographs of an artwork into measured surfaces.
 
@@ -225,8 +232,9 @@ def digitise(
     done again; a fault of one tile costs that tile only.
     """
     from nlights_core.store import make_writable
-    from nlights_flows import console, environment
+    from nlights_flows import console, dask_runner, environment
 
+    dask_runner.checked(runner, address)
     if memory is not None:
         _allow(memory)
     chosen, tiles, kept = _prepared(artwork, recipe, out, store, stand, root, tile)
@@ -247,9 +255,18 @@ def digitise(
             tiles=tile,
             compression=compression.value,
             timeout=timeout,
+            runner=runner,
+            address=address,
             return_state=True,
         )
         outcomes = state.data if isinstance(state.data, list) else state.result(raise_on_failure=False)
+        if isinstance(outcomes, BaseException):
+            raise outcomes
+    elif runner != "here":
+        from nlights_flows.dask_runner import run_everywhere
+        from nlights_flows.running import exit_code
+
+        outcomes = run_everywhere(tiles, chosen, kept, out, address, compression.value, timeout)
     else:
         from nlights_flows.running import exit_code, run_directly
 

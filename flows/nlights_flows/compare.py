@@ -14,6 +14,7 @@ from nlights_core.store import ArtefactRef
 from nlights_flows.comparison_order import Order, carry_out
 from nlights_flows.comparison_runs import Case, Run, Workshop
 from nlights_flows.digitise import run_stage
+from nlights_flows.environment import outlive_reader
 
 
 @flow(name="compare", persist_result=False, validate_parameters=True)
@@ -54,6 +55,7 @@ def compare(
         Completed, or Failed when a variant failed on a tile; both carry what ``compare.json``
         holds as their data.
     """
+    outlive_reader()
     order = Order(
         [Path(path) for path in artworks],
         recipes or [],

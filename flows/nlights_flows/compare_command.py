@@ -118,7 +118,9 @@ def compare(
             root=str(root) if root else None,
             return_state=True,
         )
-        record = state.data if isinstance(state.data, dict) else state.result(raise_on_failure=True)
+        record = state.data if isinstance(state.data, dict) else state.result(raise_on_failure=False)
+        if isinstance(record, BaseException):
+            raise record
     else:
         record = carry_out(order, run_directly)
     show(record, out)

@@ -4,7 +4,7 @@
 import errno
 import logging
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import partial
@@ -22,7 +22,8 @@ from nlights_core.capture import Tile
 from nlights_core.manifest import load_capture
 from nlights_core.recipe import load_recipe
 from nlights_core.store import ArtefactRef, Store, make_writable
-from nlights_flows import isolation
+from nlights_flows import dask_runner, isolation
+from nlights_flows.environment import outlive_reader
 from nlights_flows.running import Around, Outcome, exit_code, explained, run_tile
 
 LASTING = {errno.ENOSPC, errno.EDQUOT, errno.ENOENT, errno.EACCES, errno.EPERM, errno.EROFS}
@@ -79,6 +80,21 @@ def run_stage(name: str, store_root: str, tile: Tile, *arguments: Any, timeout: 
     return work.ref
 
 
+@task(name="tile", persist_result=False, cache_policy=NO_CACHE)
+def run_tile_elsewhere(job: dict[str, Any]) -> Any:
+    """Run a whole tile in a Dask worker; only JSON comes in and goes out.
+
+    Returns
+    -------
+    dict
+        What `nlights_flows.dask_runner.run_job` answers, in a state that says the same.
+    """
+    answer = dask_runner.run_job(job)
+    if answer["state"] == "failed":
+        return Failed(message=answer["message"], data=answer)
+    return Completed(name="Cached" if answer["state"] == "unchanged" else None, data=answer)
+
+
 @flow(name="digitise", persist_result=False, validate_parameters=True)
 def digitise(
     artwork: str,
@@ -90,6 +106,8 @@ def digitise(
     tiles: list[str] | None = None,
     compression: str = "none",
     timeout: float | None = None,
+    runner: str = "here",
+    address: str | None = None,
 ) -> Any:
     """Digitise the tiles of an artwork.
 
@@ -113,30 +131,44 @@ def digitise(
         Of the TIFFs among the products, "none" or "zstd".
     timeout : float, optional
         Seconds that a stage may take; then it is stopped, and its tile has failed.
+    runner : {"here", "dask"}
+        Where tiles run: here, a task per stage; or on Dask's workers, a task per tile.
+    address : str, optional
+        Of the Dask scheduler, as ``tcp://10.0.0.5:8786``; without one, workers are started on this machine.
 
     Returns
     -------
     State
         Completed, or Failed when a tile failed; both carry the list of outcomes as their data.
     """
+    outlive_reader()
     logger = _logger()
     chosen = load_recipe(recipe)
     found = load_capture(Path(artwork), stand=stand, root=Path(root) if root else None)
     kept = Store(Path(store) if store else Path(out) / ".store")
     kept.prepare()
     make_writable(Path(out), "--out")
-    outcomes, put_off = [], 0
-    for tile in found:
-        if tiles and tile.name not in tiles:
-            continue
-        run = partial(_run_tile, tile, chosen, kept, Path(out), compression, timeout)
-        outcome = _around.get()(tile, run)
-        if outcome is None:
-            put_off += 1
-            continue
-        outcomes.append(outcome)
-        if outcome.state == "failed":
-            logger.error("%s: %s", tile.name, outcome.message)
+    wanted = [tile for tile in found if not tiles or tile.name in tiles]
+    around = _told_around()
+    told: Iterable[Outcome | None]
+    with dask_runner.reachable(dask_runner.checked(runner, address), address) as scheduler:
+        if scheduler:
+            told = dask_runner.run_tiles(
+                wanted, chosen, kept, Path(out), scheduler, around, compression, timeout, run_tile_elsewhere
+            )
+        else:
+            runs = [
+                partial(_run_tile, tile, chosen, kept, Path(out), compression, timeout) for tile in wanted
+            ]
+            told = (around(tile, run) for tile, run in zip(wanted, runs, strict=True))
+        outcomes, put_off = [], 0
+        for outcome in told:
+            if outcome is None:
+                put_off += 1
+                continue
+            outcomes.append(outcome)
+            if outcome.state == "failed":
+                logger.error("%s: %s", outcome.tile, outcome.message)
     failed = [outcome for outcome in outcomes if outcome.state == "failed"]
     message = f"{len(outcomes) - len(failed)} of {len(outcomes)} tiles done"
     if put_off:
@@ -168,6 +200,11 @@ def _run_tile(
         return Outcome(tile.artwork, tile.name, "failed", None, message, time.monotonic() - started)
     state = "done" if made else "unchanged"
     return Outcome(tile.artwork, tile.name, state, folder, "", time.monotonic() - started)  # type: ignore[arg-type]
+
+
+def _told_around() -> Around:
+    """What `each_tile_through` set; apart, since a flow travels to Dask's workers and a ContextVar cannot."""
+    return _around.get()
 
 
 def _logger() -> Any:

@@ -35,3 +35,17 @@ def api_configured() -> bool:
         return False
     active = os.environ.get("PREFECT_PROFILE", profiles.get("active", ""))
     return bool(profiles.get("profiles", {}).get(active, {}).get("PREFECT_API_URL"))
+
+
+def outlive_reader() -> None:
+    """Let a run go on when nobody reads what it prints any more.
+
+    A worker reads its runs through a pipe.  When it is killed, the next line of the log would end
+    the run: rich exits where a pipe is broken, which is meant for a command in a shell.
+    """
+    from rich.console import Console
+
+    def be_quiet(console: Console) -> None:
+        console.quiet = True
+
+    Console.on_broken_pipe = be_quiet  # type: ignore[assignment,method-assign]

@@ -13,12 +13,10 @@ from nlights_core.errors import CaptureError
 from nlights_core.export import Compression
 from nlights_core.recipe import Recipe, load_recipe
 from nlights_core.store import Store
+from nlights_flows import dask_runner
 from nlights_flows.night_estimates import Deadline
 from nlights_flows.night_limits import Limits, load_limits
 from nlights_flows.running import Around
-
-RUNNERS = ("here",)
-"""Where tiles can be run: see `RunArtwork`."""
 
 COMPRESSIONS = ("none", "zstd")
 
@@ -104,12 +102,7 @@ def checked(order: Order) -> Checked:
     NlightsError
         Naming the option, what was found and what is allowed.
     """
-    if order.runner not in RUNNERS:
-        raise CaptureError(
-            f"--runner: there is no runner '{order.runner}'; choose one of {', '.join(RUNNERS)}"
-        )
-    if order.address and order.runner == "here":
-        raise CaptureError("--address: is where another runner is; leave it out with --runner here")
+    dask_runner.checked(order.runner, order.address)
     if order.compression not in COMPRESSIONS:
         raise CaptureError(f"--compression: '{order.compression}'; choose one of {', '.join(COMPRESSIONS)}")
     for option, value in (("--settle", order.settle), ("--timeout", order.timeout)):

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
-from dataclasses import asdict
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from contextvars import copy_context
+from dataclasses import asdict, replace
 from datetime import datetime
 from functools import partial
 
@@ -13,7 +16,7 @@ from nlights_core.capture import Tile
 from nlights_core.errors import NlightsError
 from nlights_core.publishing import publish
 from nlights_core.store import make_writable
-from nlights_flows import console
+from nlights_flows import console, dask_runner
 from nlights_flows.claims import Claims
 from nlights_flows.night_checking import in_store, require_usable
 from nlights_flows.night_estimates import learnt, require_disk
@@ -37,11 +40,17 @@ from nlights_flows.running import Around, Outcome, explained, run_directly
 LOOK = 2.0
 """Seconds between two looks at tiles that another night is at."""
 
+SHARE = 0.05
+"""Of a night's time, that its page may take, if it takes more than `QUICK`."""
+
+QUICK = 1.0
+"""Seconds."""
+
 PATIENCE = 6 * 3600.0
 """Seconds for which a night without an end waits for another at most."""
 
 
-def carry_out(order: Order, run_artwork: RunArtwork) -> NightRecord:
+def carry_out(order: Order, run_artwork: RunArtwork, at_once: int = 1) -> NightRecord:
     """Carry out a night.
 
     Parameters
@@ -50,6 +59,8 @@ def carry_out(order: Order, run_artwork: RunArtwork) -> NightRecord:
         What is asked for.
     run_artwork : callable
         How to run an artwork's tiles.
+    at_once : int
+        How many artworks are run at the same time.
 
     Returns
     -------
@@ -66,7 +77,32 @@ def carry_out(order: Order, run_artwork: RunArtwork) -> NightRecord:
     make_writable(order.out, "--out")
     night.store.prepare()
     with Claims(night.store.root) as claims:
-        return Night(night, run_artwork, claims).run()
+        return Night(night, run_artwork, claims, at_once).run()
+
+
+@contextmanager
+def elsewhere(order: Order) -> Iterator[tuple[Order, int]]:
+    """The order with the address of the scheduler that does it, and how many artworks keep its workers busy."""
+    runner = dask_runner.checked(order.runner, order.address)
+    with dask_runner.reachable(runner, order.address) as address:
+        yield replace(order, address=address), dask_runner.workers(address) if address else 1
+
+
+def run_on_dask(batch: Batch, around: Around) -> None:
+    """Run an artwork's tiles on the workers of a Dask scheduler, without Prefect."""
+    order, night = batch.night.order, batch.night
+    assert order.address is not None
+    console.complain(f"{batch.artwork}: {len(batch.tiles)} of its tiles to run on {order.address}")
+    dask_runner.run_tiles(
+        batch.tiles,
+        night.recipe,
+        night.store,
+        order.out,
+        order.address,
+        around,
+        order.compression,
+        order.timeout,
+    )
 
 
 def run_here(batch: Batch, around: Around) -> None:
@@ -99,13 +135,15 @@ class Night:
     run_artwork : callable
     claims : Claims
         Begun.
+    at_once : int
+        How many artworks are run at the same time.
     """
 
-    def __init__(self, night: Checked, run_artwork: RunArtwork, claims: Claims) -> None:
-        self.night, self.run_artwork, self.claims = night, run_artwork, claims
+    def __init__(self, night: Checked, run_artwork: RunArtwork, claims: Claims, at_once: int = 1) -> None:
+        self.night, self.run_artwork, self.claims, self.at_once = night, run_artwork, claims, at_once
         order, started = night.order, datetime.now().astimezone()
         self.folder = new_night(order.out, started)
-        self._began = time.monotonic()
+        self._began = self._next_page = time.monotonic()
         self._earlier = earlier_nights(order.out, but=self.folder.name)
         self._timed = timed_tiles(self._earlier, night.recipe.name)
         self._estimate = learnt(self._timed)
@@ -137,12 +175,23 @@ class Night:
             self._write()
             if not new:
                 break
-            for candidate, entry in entries:
-                self._run(candidate, entry)
+            self._run_all(entries)
         self._wait_for_others()
         self.record.ended = datetime.now().astimezone().isoformat(timespec="seconds")
-        self._write()
+        self._write(last=True)
         return self.record
+
+    def _run_all(self, entries: list[tuple[Candidate, ArtworkEntry]]) -> None:
+        """Run artworks in their order, ``at_once`` of them at the same time."""
+        if self.at_once == 1:
+            for candidate, entry in entries:
+                self._run(candidate, entry)
+            return
+        with ThreadPoolExecutor(self.at_once) as threads:
+            # A context for each: Prefect finds its flow run there.
+            begun = [threads.submit(copy_context().run, partial(self._run, *one)) for one in entries]
+            for one in begun:
+                one.result()
 
     def _enter(self, candidate: Candidate) -> ArtworkEntry:
         """Take an artwork into the record: what is done already, what cannot be done, what is to be run."""
@@ -293,9 +342,16 @@ class Night:
                 return
             time.sleep(min(LOOK, left))
 
-    def _write(self) -> None:
-        """Write record and page as of now; a page that cannot be drawn must not stop the work."""
+    def _write(self, last: bool = False) -> None:
+        """Write record and page as of now; a page that cannot be drawn must not stop the work.
+
+        The page of a long night grows: it is left for later while it would take more than its share
+        of the time, but the last one is always written.
+        """
         with self._lock:
+            began = time.monotonic()
+            if not last and began < self._next_page:
+                return
             record, out = self.record, self.night.order.out
             record.seconds = round(time.monotonic() - self._began, 1)
             record.estimate = asdict(self._estimate)
@@ -308,6 +364,9 @@ class Night:
                 console.complain(said)
                 if said not in record.notes:
                     record.notes.append(said)
+            ended = time.monotonic()
+            if ended - began > QUICK:
+                self._next_page = ended + (ended - began) / SHARE
 
 
 def _minutes(seconds: float) -> str:

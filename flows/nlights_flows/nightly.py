@@ -11,10 +11,11 @@ from prefect.artifacts import create_markdown_artifact
 from prefect.states import Completed, Failed
 
 from nlights_flows.digitise import digitise, each_tile_through
+from nlights_flows.environment import outlive_reader
 from nlights_flows.night_order import Batch, Order
 from nlights_flows.night_pictures import thumbnail
 from nlights_flows.night_record import PAGE, night_exit_code
-from nlights_flows.night_running import carry_out
+from nlights_flows.night_running import carry_out, elsewhere
 from nlights_flows.running import Around
 
 SHOWN = 20
@@ -61,9 +62,9 @@ def nightly(
     memory : str, optional
         Memory that a tile may take, as 6GiB.
     runner : str
-        Where tiles run: "here".
+        Where tiles run: "here", or "dask", on the workers of a Dask scheduler.
     address : str, optional
-        Of another runner.
+        Of the scheduler; without one, workers are started on this machine.
 
     Returns
     -------
@@ -71,6 +72,7 @@ def nightly(
         Completed, or Failed when an artwork or tile failed; both carry "record" (what ``night.json``
         holds) and "exit_code" as their data.
     """
+    outlive_reader()
     order = Order(
         Path(inbox),
         Path(out),
@@ -85,7 +87,8 @@ def nightly(
         runner,
         address,
     )
-    record = carry_out(order, run_as_subflow)
+    with elsewhere(order) as (order, at_once):
+        record = carry_out(order, run_as_subflow, at_once)
     found = record.as_json()
     create_markdown_artifact(artifact(found), key="night", description=found["verdict"])
     data = {"record": found, "exit_code": night_exit_code(record)}
@@ -107,6 +110,8 @@ def run_as_subflow(batch: Batch, around: Around) -> None:
             tiles=[tile.name for tile in batch.tiles],
             compression=order.compression,
             timeout=order.timeout,
+            runner=order.runner,
+            address=order.address,
             return_state=True,
         )
     if isinstance(state.data, BaseException):  # not a tile's fault: that is among the outcomes

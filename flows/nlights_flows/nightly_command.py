@@ -69,9 +69,12 @@ def nightly(
     plan: Annotated[
         bool, typer.Option("--plan", help="Print the order and the estimated time; run nothing.")
     ] = False,
-    runner: Annotated[str, typer.Option("--runner", metavar="NAME", help="Where tiles run: here.")] = "here",
+    runner: Annotated[
+        str, typer.Option("--runner", metavar="NAME", help="Where tiles run: here, or dask.")
+    ] = "here",
     address: Annotated[
-        str | None, typer.Option("--address", metavar="ADDRESS", help="Of another runner.")
+        str | None,
+        typer.Option("--address", metavar="ADDRESS", help="Of the Dask scheduler, as tcp://10.0.0.5:8786."),
     ] = None,
     prefect: Annotated[
         bool,
@@ -111,9 +114,10 @@ def nightly(
     if prefect or environment.api_configured():
         _run_flow(order)
     from nlights_flows.night_record import night_exit_code
-    from nlights_flows.night_running import carry_out, run_here
+    from nlights_flows.night_running import carry_out, elsewhere, run_here, run_on_dask
 
-    record = carry_out(order, run_here)
+    with elsewhere(order) as (order, at_once):
+        record = carry_out(order, run_on_dask if order.address else run_here, at_once)
     _show(record.as_json(), out)
     raise typer.Exit(night_exit_code(record))
 

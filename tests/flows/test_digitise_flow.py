@@ -163,6 +163,34 @@ def test_a_night_runs_a_subflow_per_artwork_and_one_bad_artwork_stops_no_other(p
     assert (out / "night.html").is_file()
 
 
+def test_a_night_on_dask_is_a_flow_run_per_artwork_and_a_task_run_per_tile(painting, tmp_path, api, cluster):
+    url, environment = api
+    address, _ = cluster
+    for name in ("inv-6", "inv-7"):
+        shutil.copytree(painting, tmp_path / "inbox" / name, ignore=shutil.ignore_patterns("truth"))
+        described = yaml.safe_load((tmp_path / "inbox" / name / "artwork.yaml").read_text())
+        described["artwork"] = {"id": name}
+        (tmp_path / "inbox" / name / "artwork.yaml").write_text(yaml.safe_dump(described))
+        (tmp_path / "inbox" / name / "upload-complete").touch()
+    # What headers do not tell: two lamps have the same photograph.
+    shutil.copy(tmp_path / "inbox" / "inv-7" / "light_1.tif", tmp_path / "inbox" / "inv-7" / "light_2.tif")
+    words = ["--out", tmp_path / "out", "--runner", "dask", "--address", address]
+    done = nlights(environment, "nightly", tmp_path / "inbox", *words, code=1)
+    assert "1 of 2 artworks done, 1 failed" in done.stdout
+    assert (tmp_path / "out" / "inv-6" / "r0c0" / "report.html").exists()
+    runs = post(f"{url}/flow_runs/filter", {"sort": "START_TIME_DESC", "limit": 3})
+    ended = {run["name"]: run for run in runs}
+    assert ended["inv-6"]["state"]["type"] == "COMPLETED"
+    assert ended["inv-7"]["state"]["type"] == "FAILED"
+    ours = {"flow_runs": {"id": {"any_": [ended["inv-6"]["id"], ended["inv-7"]["id"]]}}}
+    tiles = post(f"{url}/task_runs/filter", ours)
+    assert sorted((run["name"], run["state"]["type"]) for run in tiles) == [
+        ("r0c0", "COMPLETED"),
+        ("r0c0", "FAILED"),
+    ]
+    assert all(run["parent_task_run_id"] for run in (ended["inv-6"], ended["inv-7"]))
+
+
 def test_a_bad_recipe_stops_the_command_before_prefect_starts(painting, tmp_path, api):
     _, environment = api
     done = nlights(environment, "digitise", painting, "--out", tmp_path / "x", "--recipe", "nosuch", code=2)
