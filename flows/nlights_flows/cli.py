@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import sys
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -13,15 +12,24 @@ import typer
 from nlights_core import __version__
 from nlights_core.errors import NlightsError
 from nlights_flows import compare_command, nightly_command, plugin_commands
+from nlights_flows.options import (
+    Address,
+    Artwork,
+    Compression,
+    CompressionOption,
+    Memory,
+    Out,
+    Prefect,
+    RecipeOption,
+    Root,
+    Runner,
+    StandOption,
+    StoreOption,
+    Tiles,
+    Timeout,
+)
 
 INTERRUPTED = 130
-
-
-class Compression(StrEnum):
-    """How the TIFFs among the products are compressed."""
-
-    NONE = "none"
-    ZSTD = "zstd"
 
 
 app = typer.Typer(
@@ -45,33 +53,6 @@ Then open `products/.../report.html`.  Exit codes: 0 all done; 1 some tiles fail
 done; 2 nothing was produced.
 """,
 )
-
-Artwork = Annotated[
-    Path, typer.Argument(metavar="ARTWORK.yaml", help="The capture's manifest, or the folder that holds it.")
-]
-RecipeOption = Annotated[
-    str,
-    typer.Option("--recipe", metavar="RECIPE", help="A shipped recipe (default, paper, psbox) or a file."),
-]
-Out = Annotated[Path, typer.Option("--out", metavar="DIR", help="Where the products go.")]
-StoreOption = Annotated[
-    Path | None,
-    typer.Option("--store", metavar="DIR", help="Where the artefacts are kept; OUT/.store if not given."),
-]
-StandOption = Annotated[
-    str | None,
-    typer.Option("--stand", metavar="NAME_OR_FILE", help="A stand instead of the one the manifest names."),
-]
-Root = Annotated[
-    Path | None,
-    typer.Option(
-        "--root", metavar="DIR", help="Folder that the manifest's paths may not leave; its own by default."
-    ),
-]
-Tiles = Annotated[
-    list[str] | None,
-    typer.Option("--tile", metavar="NAME", help="Only this tile; may be given several times."),
-]
 
 
 def version(show: bool) -> None:
@@ -195,35 +176,12 @@ def digitise(
     stand: StandOption = None,
     root: Root = None,
     tile: Tiles = None,
-    prefect: Annotated[
-        bool,
-        typer.Option(
-            "--prefect",
-            help="Run as a Prefect flow; implied where a Prefect API is configured (PREFECT_API_URL).",
-        ),
-    ] = False,
-    compression: Annotated[
-        Compression, typer.Option(help="Of the TIFFs: zstd takes less space and more time than the physics.")
-    ] = Compression.NONE,
-    memory: Annotated[
-        str | None,
-        typer.Option(
-            metavar="SIZE", help="Memory that a tile may take, as 6GiB; half of the machine's by default."
-        ),
-    ] = None,
-    timeout: Annotated[
-        float | None,
-        typer.Option(
-            metavar="SECONDS", min=1, help="Stop a stage that takes longer; its tile fails, the others go on."
-        ),
-    ] = None,
-    runner: Annotated[
-        str, typer.Option("--runner", metavar="NAME", help="Where tiles run: here, or dask.")
-    ] = "here",
-    address: Annotated[
-        str | None,
-        typer.Option("--address", metavar="ADDRESS", help="Of the Dask scheduler, as tcp://10.0.0.5:8786."),
-    ] = None,
+    prefect: Prefect = False,
+    compression: CompressionOption = Compression.NONE,
+    memory: Memory = None,
+    timeout: Timeout = None,
+    runner: Runner = "here",
+    address: Address = None,
 ) -> None:
     """Turn the photographs of an artwork into measured surfaces.
 

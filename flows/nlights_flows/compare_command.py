@@ -9,6 +9,8 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand
 
+from nlights_flows.options import Prefect, Root, StandOption, StoreOption
+
 SEVERAL = ("--recipes", "--grid")
 """Options that take every word up to the next option."""
 
@@ -72,25 +74,10 @@ def compare(
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where page and products go.")] = Path(
         "comparison"
     ),
-    store: Annotated[
-        Path | None,
-        typer.Option("--store", metavar="DIR", help="Where the artefacts are kept; OUT/.store if not given."),
-    ] = None,
-    stand: Annotated[
-        str | None,
-        typer.Option("--stand", metavar="NAME_OR_FILE", help="A stand instead of the manifests'."),
-    ] = None,
-    root: Annotated[
-        Path | None,
-        typer.Option("--root", metavar="DIR", help="Folder that the manifests' paths may not leave."),
-    ] = None,
-    prefect: Annotated[
-        bool,
-        typer.Option(
-            "--prefect",
-            help="Run as a Prefect flow; implied where a Prefect API is configured (PREFECT_API_URL).",
-        ),
-    ] = False,
+    store: StoreOption = None,
+    stand: StandOption = None,
+    root: Root = None,
+    prefect: Prefect = False,
 ) -> None:
     """Compare recipes on the same photographs, with error bars.
 

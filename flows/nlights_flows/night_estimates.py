@@ -26,9 +26,9 @@ TRUST = 0.5
 TIMED = 5
 """So many tiles must have been timed before their scatter is believed."""
 
-STORE_BYTES = (30e6, 160.0)
+STORE_BYTES = (30e6, 130.0)
 """Bytes in the store of a tile, and per pixel, default recipe, 8 lamps in colour.  Measured: 16 MB at 0.03
-megapixels and 479 MB at 3 megapixels, products included, of which 97 per pixel are products."""
+megapixels and 761 MB at 6 megapixels, products included, of which 93 per pixel are products."""
 
 PRODUCT_BYTES = (10e6, 97.0)
 """Bytes of the products of a tile, and per pixel: from the same runs.  They are hard links into the store and

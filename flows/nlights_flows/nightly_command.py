@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 from datetime import datetime
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from nlights_flows.options import (
+    Address,
+    Compression,
+    CompressionOption,
+    Memory,
+    Prefect,
+    RecipeOption,
+    Runner,
+    StoreOption,
+    Timeout,
+)
+
 if TYPE_CHECKING:
     from nlights_flows.night_order import Order
-
-
-class Compression(StrEnum):
-    """How the TIFFs among the products are compressed."""
-
-    NONE = "none"
-    ZSTD = "zstd"
 
 
 def nightly(
@@ -25,13 +29,8 @@ def nightly(
         Path, typer.Argument(metavar="INBOX", help="Folder into which captures are uploaded, a folder each.")
     ],
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where products and pages go.")],
-    recipe: Annotated[
-        str, typer.Option("--recipe", metavar="RECIPE", help="A shipped recipe or a file.")
-    ] = "default",
-    store: Annotated[
-        Path | None,
-        typer.Option("--store", metavar="DIR", help="Where the artefacts are kept; OUT/.store if not given."),
-    ] = None,
+    recipe: RecipeOption = "default",
+    store: StoreOption = None,
     until: Annotated[
         str | None,
         typer.Option(
@@ -53,36 +52,15 @@ def nightly(
             help="How long a folder without the file upload-complete must have been quiet.",
         ),
     ] = 300.0,
-    compression: Annotated[
-        Compression, typer.Option(help="Of the TIFFs: zstd takes less space and more time than the physics.")
-    ] = Compression.NONE,
-    timeout: Annotated[
-        float | None,
-        typer.Option(metavar="SECONDS", min=1, help="Stop a stage that takes longer; its tile fails."),
-    ] = None,
-    memory: Annotated[
-        str | None,
-        typer.Option(
-            metavar="SIZE", help="Memory that a tile may take, as 6GiB; half of the machine's by default."
-        ),
-    ] = None,
+    compression: CompressionOption = Compression.NONE,
+    timeout: Timeout = None,
+    memory: Memory = None,
     plan: Annotated[
         bool, typer.Option("--plan", help="Print the order and the estimated time; run nothing.")
     ] = False,
-    runner: Annotated[
-        str, typer.Option("--runner", metavar="NAME", help="Where tiles run: here, or dask.")
-    ] = "here",
-    address: Annotated[
-        str | None,
-        typer.Option("--address", metavar="ADDRESS", help="Of the Dask scheduler, as tcp://10.0.0.5:8786."),
-    ] = None,
-    prefect: Annotated[
-        bool,
-        typer.Option(
-            "--prefect",
-            help="Run as a Prefect flow; implied where a Prefect API is configured (PREFECT_API_URL).",
-        ),
-    ] = False,
+    runner: Runner = "here",
+    address: Address = None,
+    prefect: Prefect = False,
 ) -> None:
     """Digitise every finished upload of an inbox; one page says what became of it.
 
