@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from nlights_core.frames import Array
+from nlights_core.steady_files import SteadyFile
 
 
 class BandWriter:
@@ -29,9 +31,12 @@ class BandWriter:
 
     def __init__(self, path: Path, shape: tuple[int, ...], dtype: Any = np.float32) -> None:
         self.shape, self.dtype, self._rows = shape, np.dtype(dtype), 0
-        self._file = path.open("xb")
-        header = {"descr": self.dtype.str, "fortran_order": False, "shape": shape}
-        np.lib.format.write_array_header_1_0(self._file, header)
+        header = io.BytesIO()
+        np.lib.format.write_array_header_1_0(
+            header, {"descr": self.dtype.str, "fortran_order": False, "shape": shape}
+        )
+        self._file = SteadyFile(path, read_soon=True)
+        self._file.write(header.getbuffer())
 
     def write(self, band: Array) -> None:
         """Append rows."""

@@ -17,7 +17,7 @@ from nlights_core.compiled_development import (
 )
 from nlights_core.compiled_fits import BLOCK, ONE, TRIAL, ZERO, Work, X, Y, Z, compiled, copy
 from nlights_core.compiled_reweighting import fit_blocks
-from nlights_core.compiled_solutions import NORMAL, RESIDUAL, UNCERTAINTY, solve_blocks, usable
+from nlights_core.compiled_solutions import NORMAL, RESIDUAL, UNCERTAINTY, solve_blocks
 from nlights_core.frames import Array
 from nlights_core.kernels import Images
 from nlights_core.strips import Blocks, Optics, Strip
@@ -140,10 +140,8 @@ def solve_strip(
 
     Parameters
     ----------
-    strip, optics, shadow, blocks
+    strip, optics, shadow, lit, blocks
         As for `develop`.
-    lit : float32
-        As the shadow of `nlights_core.compiled_solutions.usable`.
     condition : float
         As for `nlights_core.compiled_solutions.solve_blocks`.
     robust : bool
@@ -157,8 +155,7 @@ def solve_strip(
     """
     across = (len(strip.x) + BLOCK - 1) // BLOCK
     for first in range(0, len(strip.y) * across, len(work.samples)):
-        develop(strip, optics, first, shadow, blocks)
-        usable(work, lit)
+        develop(strip, optics, first, shadow, lit, blocks)
         fit_blocks(work, robust)
         solve_blocks(work, condition)
         deliver(blocks, work.found, first, white, images)

@@ -17,6 +17,7 @@ from nlights_core.compiled_fits import (
     BLOCK,
     ONE,
     TINY,
+    TRIAL,
     USABLE,
     VALUE,
     ZERO,
@@ -33,17 +34,18 @@ from nlights_core.strips import Blocks, Optics, Strip
 SATURATED, SHADOWED, COUNTED = 0, BLOCK, 2 * BLOCK
 
 # Of the scratch of a block, in an array (SCRATCH,): the pixel's point, 1 + its distance^2 from the
-# camera's axis over z^2, where it is between the samples of the plate, the exponent that the vignetting
-# adds, the variance; the mask; three colours of the dark frame, of the photograph, and of one over the
-# plate.
-_X, _Y, _Z, _SEEN, _FURTHER, _RIGHT, _DOWN, _CELL, _LENS, _SATURATED, _INSIDE = range(0, 11 * BLOCK, BLOCK)
+# camera's axis over z^2, where it is in its cell of the plate, the exponent that the vignetting adds, the
+# variance; the mask; number of lights that are saturated; three colours of the dark frame, of the photograph, and of one over the plate.
+_X, _Y, _Z, _SEEN, _FURTHER, _RIGHT, _DOWN, _CELL, _LENS, _INSIDE, _LOST = range(0, 11 * BLOCK, BLOCK)
 _DARK, LIGHT, INVERSE, SCRATCH = range(11 * BLOCK, 23 * BLOCK, 3 * BLOCK)
 
 GROUP = 16
 """Pixels for which the plate is interpolated together; seldom are they in more than two of its cells."""
 
 _ALL_PHOTONS = np.float32(PHOTONS)
-_HALF, _TWO, _THIRD, _FIFTH = np.float32(0.5), np.float32(2), np.float32(1 / 3), np.float32(1 / 5)
+_THIRD, _FIFTH = np.float32(1 / 3), np.float32(1 / 5)
+_WHOLE = np.float32(1.5 * 2**23)
+"""Added to a number of single precision, it leaves no room for a fraction."""
 # fmt: off
 _E1, _E2, _E3, _E4, _E5, _E6 = (np.float32(term) for term in (
     0.6931471805599453, 0.2402265069591007, 0.05550410866482158,
@@ -54,7 +56,9 @@ _E1, _E2, _E3, _E4, _E5, _E6 = (np.float32(term) for term in (
 
 
 @compiled
-def develop(strip: Strip, optics: Optics, first: int, shadow: np.float32, blocks: Blocks) -> None:
+def develop(
+    strip: Strip, optics: Optics, first: int, shadow: np.float32, lit: np.float32, blocks: Blocks
+) -> None:
     """Develop blocks of a strip, beginning with a given one.
 
     Parameters
@@ -64,6 +68,8 @@ def develop(strip: Strip, optics: Optics, first: int, shadow: np.float32, blocks
         Number of the first block; past the last one, blocks get weight 0.
     shadow : float32
         Share of the brightest sample below which one is counted as shadow.
+    lit : float32
+        Share of the brightest sample that one must exceed to be usable, if it is not 0.
     blocks : Blocks
         Receives them.
     """
@@ -87,20 +93,30 @@ def develop(strip: Strip, optics: Optics, first: int, shadow: np.float32, blocks
         # What is not read below, past the end of a row or the colours of grey photographs, is dark.
         of[_DARK : LIGHT + 3 * BLOCK] = ZERO
         if dark:
-            _read(numbers[count, row], channels, column, size, optics.scale, of)
-            _expose(optics.lamps[0, 3], of, blocks.totals[count])
+            # What it counts in the first lamp's place is not kept.
+            here = numbers[count, row, channels * column : channels * (column + size)]
+            _read(
+                here,
+                size,
+                optics.scale,
+                optics.lamps[0, 3],
+                of,
+                blocks.totals[count],
+                blocks.samples[block, 0],
+            )
             copy(of[LIGHT : LIGHT + 3 * BLOCK], of[_DARK : _DARK + 3 * BLOCK])
+        of[_LOST : _LOST + BLOCK] = ZERO
         for i in range(count):
             sample = blocks.samples[block, i]
-            _read(numbers[i, row], channels, column, size, optics.scale, of)
-            _expose(optics.lamps[i, 3], of, blocks.totals[i])
-            _leave_out(of, sample, counts)
+            here = numbers[i, row, channels * column : channels * (column + size)]
+            _read(here, size, optics.scale, optics.lamps[i, 3], of, blocks.totals[i], sample)
             if surface or i == 0:
                 _meet(positions[i], near, optics.place, optics.plate_shape, optics.lens, of)
             _aim(positions[i], near, of, sample)
-            _interpolate(optics.plate[i], optics.plate_shape[1], of)
+            _interpolate(optics.plate[i], of)
             _divide(optics.lamps[i], optics.limits[0], of, sample, blocks.colours[block, i])
-        _weigh(blocks.samples[block], optics.limits[1], counts, shadow, of)
+        copy(of[_LOST:], counts[SATURATED : SATURATED + BLOCK])
+        _weigh(blocks.samples[block], optics.limits[1], counts, shadow, lit, of)
 
 
 @compiled
@@ -133,49 +149,48 @@ def _stand(strip: Strip, optics: Optics, row: int, column: int, size: int, of: A
 
 
 @compiled
-def _read(numbers: Array, channels: int, column: int, size: int, scales: Array, of: Array) -> None:
-    """Light of one photograph, and whether it is saturated."""
-    part = numbers[channels * column : channels * (column + size)]
+def _read(
+    numbers: Array,
+    size: int,
+    scales: Array,
+    shares: Array,
+    of: Array,
+    totals: Array,
+    sample: Array,
+) -> None:
+    """Light of one photograph without that of the dark frame; `USABLE` is 1 where neither saturated nor masked.
+
+    Grey values and saturated pixels inside the mask are added to totals.
+    """
     scale, level, largest = scales
-    if channels == 3:
+    red_share, green_share, blue_share = shares
+    if len(numbers) == 3 * size:
         for p in range(size):
             red, green, blue = (
-                np.float32(part[3 * p]),
-                np.float32(part[3 * p + 1]),
-                np.float32(part[3 * p + 2]),
+                np.float32(numbers[3 * p]),
+                np.float32(numbers[3 * p + 1]),
+                np.float32(numbers[3 * p + 2]),
             )
-            of[_SATURATED + p] = ONE if max(red, max(green, blue)) >= level else ZERO
-            of[LIGHT + p] = min(red * scale, largest)
-            of[LIGHT + BLOCK + p] = min(green * scale, largest)
-            of[LIGHT + 2 * BLOCK + p] = min(blue * scale, largest)
+            saturated = of[_INSIDE + p] if max(red, max(green, blue)) >= level else ZERO
+            red = min(red * scale, largest) - of[_DARK + p]
+            green = min(green * scale, largest) - of[_DARK + BLOCK + p]
+            blue = min(blue * scale, largest) - of[_DARK + 2 * BLOCK + p]
+            of[LIGHT + p], of[LIGHT + BLOCK + p], of[LIGHT + 2 * BLOCK + p] = red, green, blue
+            totals[p] += (red_share * red + green_share * green + blue_share * blue) * of[_INSIDE + p]
+            sample[USABLE + p] = of[_INSIDE + p] - saturated
+            totals[BLOCK + p] += saturated
+            of[_LOST + p] += saturated
     else:
         for p in range(size):
-            number = np.float32(part[p])
-            of[_SATURATED + p] = ONE if number >= level else ZERO
-            of[LIGHT + p] = min(number * scale, largest)
-
-
-@compiled
-def _expose(shares: Array, of: Array, totals: Array) -> None:
-    """Subtract the dark frame; add grey values and saturated pixels inside the mask to totals."""
-    red_share, green_share, blue_share = shares
-    greys, saturated = totals[0], totals[1]
-    for p in range(BLOCK):
-        red = of[LIGHT + p] - of[_DARK + p]
-        green = of[LIGHT + BLOCK + p] - of[_DARK + BLOCK + p]
-        blue = of[LIGHT + 2 * BLOCK + p] - of[_DARK + 2 * BLOCK + p]
-        of[LIGHT + p], of[LIGHT + BLOCK + p], of[LIGHT + 2 * BLOCK + p] = red, green, blue
-        greys[p] += (red_share * red + green_share * green + blue_share * blue) * of[_INSIDE + p]
-        saturated[p] += of[_SATURATED + p] * of[_INSIDE + p]
-
-
-@compiled
-def _leave_out(of: Array, sample: Array, counts: Array) -> None:
-    """`USABLE` is 1 where neither saturated nor masked."""
-    for p in range(BLOCK):
-        saturated = of[_SATURATED + p] * of[_INSIDE + p]
-        counts[SATURATED + p] += saturated
-        sample[USABLE + p] = of[_INSIDE + p] - saturated
+            grey = np.float32(numbers[p])
+            saturated = of[_INSIDE + p] if grey >= level else ZERO
+            grey = min(grey * scale, largest) - of[_DARK + p]
+            of[LIGHT + p] = grey
+            totals[p] += red_share * grey * of[_INSIDE + p]
+            sample[USABLE + p] = of[_INSIDE + p] - saturated
+            totals[BLOCK + p] += saturated
+            of[_LOST + p] += saturated
+    sample[USABLE + size : USABLE + BLOCK] = ZERO
 
 
 @compiled
@@ -232,49 +247,50 @@ def _aim(position: Array, near: np.float32, of: Array, sample: Array) -> None:
 
 
 @compiled
-def _interpolate(corners: Array, columns: int, of: Array) -> None:
-    """One over the plate's reading.
+def _interpolate(cells: Array, of: Array) -> None:
+    """Minus the binary logarithm of the plate's reading, without the vignetting.
 
     Group by group, every cell that its pixels lie in is evaluated for all of them, and each takes
-    its own: that is cheaper than looking four corners up for every pixel.
+    its own: that is cheaper than looking the cell up for every pixel.
     """
-    size = len(corners) // 3
     for first in range(0, BLOCK, GROUP):
         group = of[first : first + SCRATCH - BLOCK + GROUP]
-        start = 0
-        while start < GROUP:
-            cell = group[_CELL + start]
-            at = np.int64(cell)
-            red, red_right, red_down, red_twist = _bilinear(corners, at, columns)
-            green, green_right, green_down, green_twist = _bilinear(corners, size + at, columns)
-            blue, blue_right, blue_down, blue_twist = _bilinear(corners, 2 * size + at, columns)
-            for p in range(GROUP):
-                x, y, own = group[_RIGHT + p], group[_DOWN + p], group[_CELL + p] == cell
-                value = red + x * red_right + y * (red_down + x * red_twist)
-                group[INVERSE + p] = value if own else group[INVERSE + p]
-                value = green + x * green_right + y * (green_down + x * green_twist)
-                group[INVERSE + BLOCK + p] = value if own else group[INVERSE + BLOCK + p]
-                value = blue + x * blue_right + y * (blue_down + x * blue_twist)
-                group[INVERSE + 2 * BLOCK + p] = value if own else group[INVERSE + 2 * BLOCK + p]
-            start += 1
-            while start < GROUP and group[_CELL + start] == cell:
-                start += 1
-    for c in range(3):
-        out = of[INVERSE + c * BLOCK : INVERSE + (c + 1) * BLOCK]
-        for p in range(BLOCK):
-            # 2^e: the whole part goes into the exponent of the number, the rest into a series.
-            exponent = out[p] + of[_LENS + p]
-            whole = np.floor(exponent + _HALF)
-            r = exponent - whole
-            rest = ONE + r * (_E1 + r * (_E2 + r * (_E3 + r * (_E4 + r * (_E5 + r * _E6)))))
-            out[p] = rest * np.int32((np.int32(whole) + 127) << 23).view(np.float32)
+        number = group[_CELL]
+        cell = cells[np.int64(number)]
+        others = 0
+        for p in range(GROUP):
+            right, down = group[_RIGHT + p], group[_DOWN + p]
+            others += 1 if group[_CELL + p] != number else 0
+            group[INVERSE + p] = _bilinear(cell, 0, right, down)
+            group[INVERSE + BLOCK + p] = _bilinear(cell, 4, right, down)
+            group[INVERSE + 2 * BLOCK + p] = _bilinear(cell, 8, right, down)
+        for start in range(1, GROUP if others else 0):
+            if group[_CELL + start] != number:
+                number = group[_CELL + start]
+                cell = cells[np.int64(number)]
+                for p in range(GROUP):
+                    right, down, own = group[_RIGHT + p], group[_DOWN + p], group[_CELL + p] == number
+                    value = _bilinear(cell, 0, right, down)
+                    group[INVERSE + p] = value if own else group[INVERSE + p]
+                    value = _bilinear(cell, 4, right, down)
+                    group[INVERSE + BLOCK + p] = value if own else group[INVERSE + BLOCK + p]
+                    value = _bilinear(cell, 8, right, down)
+                    group[INVERSE + 2 * BLOCK + p] = value if own else group[INVERSE + 2 * BLOCK + p]
 
 
 @numba.njit(inline="always")
-def _bilinear(corners: Array, at: Any, columns: int) -> tuple[Any, Any, Any, Any]:
-    """Value at a cell's first corner, slopes to the right and downwards, twist."""
-    first, right, down = corners[at], corners[at + 1], corners[at + columns]
-    return first, right - first, down - first, corners[at + columns + 1] - down - (right - first)
+def _bilinear(cell: Array, at: int, right: Any, down: Any) -> Any:
+    """One colour of a cell of the plate: value at its first corner, slopes to the right and downwards, twist."""
+    return cell[at] + right * cell[at + 1] + down * (cell[at + 2] + right * cell[at + 3])
+
+
+@numba.njit(inline="always")
+def _power_of_two(exponent: Any) -> Any:
+    """2^exponent: the whole part goes into the exponent of the number, the rest into a series."""
+    shifted = np.float32(exponent + _WHOLE)
+    r = exponent - (shifted - _WHOLE)
+    rest = np.float32(ONE + r * (_E1 + r * (_E2 + r * (_E3 + r * (_E4 + r * (_E5 + r * _E6))))))
+    return np.int32(rest.view(np.int32) + np.int32(shifted.view(np.int32) << 23)).view(np.float32)
 
 
 @compiled
@@ -284,11 +300,9 @@ def _divide(lamp: Array, most: np.float32, of: Array, sample: Array, colours: Ar
     red_share, green_share, blue_share = lamp[1]
     red_noise, green_noise, blue_noise = lamp[2]
     for p in range(BLOCK):
-        red, green, blue = (
-            of[INVERSE + p],
-            of[INVERSE + BLOCK + p],
-            of[INVERSE + 2 * BLOCK + p],
-        )
+        red = _power_of_two(of[INVERSE + p] + of[_LENS + p])
+        green = _power_of_two(of[INVERSE + BLOCK + p] + of[_LENS + p])
+        blue = _power_of_two(of[INVERSE + 2 * BLOCK + p] + of[_LENS + p])
         variance = red_noise * red + green_noise * green + blue_noise * blue
         known = max(red, max(green, blue)) < most
         sample[USABLE + p] = variance * sample[USABLE + p] if known else ZERO
@@ -300,8 +314,13 @@ def _divide(lamp: Array, most: np.float32, of: Array, sample: Array, colours: Ar
 
 
 @compiled
-def _weigh(samples: Array, readout: np.float32, counts: Array, shadow: np.float32, of: Array) -> None:
-    """Turn variances into weights that know the readout too; count shadows."""
+def _weigh(
+    samples: Array, readout: np.float32, counts: Array, shadow: np.float32, lit: np.float32, of: Array
+) -> None:
+    """Turn variances into weights that know the readout too; count shadows; leave out what is not lit.
+
+    What is left out has value and weights 0, as `nlights_core.compiled_solutions.usable` leaves it.
+    """
     for p in range(BLOCK):
         of[_RIGHT + p], of[_DOWN + p], of[_CELL + p] = ZERO, ZERO, ZERO
     for i in range(len(samples)):
@@ -315,13 +334,18 @@ def _weigh(samples: Array, readout: np.float32, counts: Array, shadow: np.float3
     for p in range(BLOCK):
         reading = max(of[_RIGHT + p] / max(of[_DOWN + p], ONE), TINY)
         of[_RIGHT + p] = readout / reading
+        of[_DOWN + p] = of[_CELL + p] * lit if lit > ZERO else -np.float32(np.inf)
         of[_CELL + p] *= shadow
     for i in range(len(samples)):
         sample = samples[i]
         for p in range(BLOCK):
-            variance = sample[USABLE + p]
+            variance, value = sample[USABLE + p], sample[VALUE + p]
             used = variance > ZERO
             # The readout of a black pixel is infinite beside its light; the weight becomes 0.
             weight = ONE / (variance * (ONE + variance * of[_RIGHT + p]) * _ALL_PHOTONS)
-            counts[SHADOWED + p] += ONE if used & (sample[VALUE + p] < of[_CELL + p]) else ZERO
-            sample[USABLE + p] = weight if used else ZERO
+            counts[SHADOWED + p] += ONE if used & (value < of[_CELL + p]) else ZERO
+            # NaN and infinity less themselves are not 0.
+            shown = used & (weight > ZERO) & (value > of[_DOWN + p]) & (value - value == ZERO)
+            sample[VALUE + p] = value if shown else ZERO
+            sample[USABLE + p] = weight if shown else ZERO
+            sample[TRIAL + p] = weight if shown else ZERO

@@ -18,6 +18,7 @@ import numpy as np
 from nlights_core import __version__
 from nlights_core.band_threads import cores, in_order
 from nlights_core.frames import Array, PixelGrid
+from nlights_core.steady_files import SteadyFile
 
 BAND_BYTES = 16 << 20
 """About how much of an array is looked at in one go."""
@@ -140,6 +141,8 @@ class BandTiff:
         Goes to ImageDescription.
     icc : bytes, optional
         Colour profile to embed.
+    read_soon : bool
+        As for `SteadyFile`.
     """
 
     def __init__(
@@ -151,6 +154,7 @@ class BandTiff:
         grid: PixelGrid | None = None,
         description: str = "",
         icc: bytes | None = None,
+        read_soon: bool = False,
     ) -> None:
         import tifffile
 
@@ -158,8 +162,7 @@ class BandTiff:
         with tifffile.TiffWriter(path, bigtiff=_is_big(shape, dtype), byteorder="<") as file:
             place = file.write(None, returnoffset=True, **_layout(shape, dtype, grid, description, icc))
         assert place is not None
-        self._stream = path.open("r+b")
-        self._stream.seek(place[0])
+        self._stream = SteadyFile(path, "r+b", start=place[0], read_soon=read_soon)
 
     def write(self, band: Array) -> None:
         """Append rows."""

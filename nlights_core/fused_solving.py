@@ -111,7 +111,9 @@ class FusedSolver:
     def _account(self, pixels: int, totals: Array) -> None:
         """Take a strip's sums over its pixels inside the mask into the account of the exposures."""
         names = [*self.room.photographs, "dark"][: self._count]
-        for name, (grey, saturated) in zip(names, totals.sum(axis=-1, dtype=np.float64), strict=True):
+        for name, (grey, saturated) in zip(
+            names, totals.reshape(-1, 2, BLOCK).sum(axis=-1, dtype=np.float64), strict=True
+        ):
             exposure = self.room.exposures.setdefault(name, Exposure())
             exposure.pixels += pixels
             exposure.saturated += int(saturated)
@@ -194,7 +196,7 @@ class FusedSolver:
         lamps = len(self.lights.lamps)
         count = rows * -(-columns // BLOCK)
         blocks = self._blocks(np.empty((count, lamps, compiled_fits.SAMPLE), np.float32))
-        develop(strip, self.optics, 0, np.float32(self.shadow), blocks)
+        develop(strip, self.optics, 0, np.float32(self.shadow), np.float32(0), blocks)
 
         def plane(offset: int) -> Array:
             planes = blocks.samples[..., offset : offset + BLOCK].reshape(rows, -1, lamps, BLOCK)
@@ -211,7 +213,7 @@ class FusedSolver:
             samples,
             np.empty((size, lamps, 3 * BLOCK), np.float32),
             np.empty((size, COUNTED), np.float32),
-            np.zeros((lamps + 1, 2, BLOCK), np.float32),
+            np.zeros((lamps + 1, 2 * BLOCK), np.float32),
             np.zeros(SCRATCH, np.float32),
         )
 
@@ -236,7 +238,6 @@ class FusedSolver:
         if places is None:
             assert lights.directions is not None
             places = lights.directions / lights.directions[:, 2:]
-        exponents = np.broadcast_to(-plate.logarithm / np.log(2), (*plate.logarithm.shape[:3], 3))
         lens = (0.0, 0.0, 0.0, 0.0)
         if plate.camera is not None:
             x, y, z = plate.camera
@@ -252,12 +253,23 @@ class FusedSolver:
             positions=single(places),
             near=single([lights.near]),
             camera=single(room.grid.camera or (0.0, 0.0, np.inf)),
-            plate=single(np.moveaxis(exponents, -1, 1).reshape(len(lamps), -1)),
+            plate=_cells(plate.logarithm),
             plate_shape=plate.logarithm.shape[1:3],
             place=single([plate.left, plate.top, plate.step]),
             lens=single(lens),
             limits=single([1e6 / plate.brightest, constant]),
         )
+
+
+def _cells(logarithm: Array) -> Array:
+    """What `Optics.plate` is, of a plate's natural logarithm (L, H, W, C)."""
+    lamps, rows, columns, _ = logarithm.shape
+    value = np.broadcast_to(-logarithm / np.log(2), (lamps, rows, columns, 3)).astype(np.float32)
+    cells = np.zeros((*value.shape, 4), np.float32)
+    first, right = value[:, :-1, :-1], value[:, :-1, 1:] - value[:, :-1, :-1]
+    down = value[:, 1:, :-1] - first
+    cells[:, :-1, :-1] = np.stack([first, right, down, value[:, 1:, 1:] - value[:, 1:, :-1] - right], axis=-1)
+    return cells.reshape(lamps, rows * columns, 12)
 
 
 def _thinned(strip: Strip, row: int, column: int, step: int) -> Strip:

@@ -11,6 +11,7 @@ from nlights_core import __version__
 from nlights_core.band_threads import in_order
 from nlights_core.export import bands
 from nlights_core.frames import Array, PixelGrid
+from nlights_core.steady_files import SteadyFile
 from nlights_core.viewing import srgb_codes
 
 _VERTEX = np.dtype(
@@ -94,7 +95,7 @@ def write_ply(
         compiled_meshes.faces(height[beyond[i]], rows[i], int(first[i]), record)
         return record
 
-    with Path(path).open("wb") as stream:
+    with SteadyFile(Path(path), "wb") as stream:
         stream.write(_header(vertices, faces, grid.unit))
         for half, records in enumerate((points, corners)):
             for i, record in enumerate(in_order(records, range(len(places))), start=1):

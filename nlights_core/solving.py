@@ -123,7 +123,15 @@ def _coloured(path: Path, room: Darkroom, white: float | None) -> BandTiff:
         said = f"linear, 1 is a perfect diffuser (white reference of reflectance {white:g})"
     shape = (*room.grid.shape, 3) if room.info.channels == 3 else room.grid.shape
     what = COLOURS[path.stem].format(said)
-    return BandTiff(path, shape, np.float32, grid=room.grid, description=what, icc=room.info.icc)
+    return BandTiff(
+        path,
+        shape,
+        np.float32,
+        grid=room.grid,
+        description=what,
+        icc=room.info.icc,
+        read_soon=path.stem == "albedo",
+    )
 
 
 def _by_bands(

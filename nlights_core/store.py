@@ -21,6 +21,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from blake3 import blake3
+
 from nlights_core.algorithms import Algorithm
 from nlights_core.errors import CaptureError, TileError
 from nlights_core.registry import code_digest, core_digest, installed
@@ -165,7 +167,7 @@ class Store:
             shutil.rmtree(own, ignore_errors=True)
 
     def digest(self, path: Path) -> str:
-        """Digest of a file's content, remembered by path, size and time of change.
+        """BLAKE3 digest of a file's content, 64 hexadecimal digits; remembered by path, size and time of change.
 
         Raises
         ------
@@ -182,8 +184,8 @@ class Store:
                     return digest
             except OSError:
                 pass
-            with path.open("rb") as file:
-                digest = hashlib.file_digest(file, "sha256").hexdigest()
+            with path.open("rb", buffering=0) as file:
+                digest = hashlib.file_digest(file, blake3).hexdigest()  # type: ignore[arg-type]
         except OSError as fault:
             reason = "there is no such file" if isinstance(fault, FileNotFoundError) else fault.strerror
             raise TileError(

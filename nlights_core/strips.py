@@ -45,8 +45,9 @@ class Optics(NamedTuple):
         1 for near lamps, 0 for distant ones.
     camera : (3,)
         Centre of projection, mm; z is infinite where there is none.
-    plate : (L, 3 H W)
-        Minus the binary logarithm of the plate's reading, colour by colour.
+    plate : (L, H W, 12)
+        Minus the binary logarithm of the plate's reading: of each cell, numbered as its first corner is, and
+        each colour the value at that corner, the slopes to the right and downwards, and the twist.
     plate_shape : tuple of 2 int
         H and W.
     place : (3,)
@@ -81,8 +82,8 @@ class Blocks(NamedTuple):
         The images, divided by power and plate.
     counts : (S, COUNTED) float32 array
         How many lights are saturated, and how many in shadow.
-    totals : (L + 1, 2, BLOCK) float32 array
-        To which grey values and numbers of saturated pixels inside the mask are added.
+    totals : (L + 1, 2 BLOCK) float32 array
+        To which grey values and then numbers of saturated pixels inside the mask are added.
     scratch : (SCRATCH,) float32 array
     """
 
