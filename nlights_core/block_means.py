@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
 
-from nlights_core.band_threads import cores
+from nlights_core.band_threads import in_order
 from nlights_core.development import Darkroom, Exposure
 from nlights_core.frames import Array
 from nlights_core.images import Photograph, grey, is_saturated
@@ -60,27 +59,28 @@ def block_means(
     """
     shape = (room.grid.rows // block, room.grid.columns // block)
     limited = bool(np.isfinite(room.info.saturation))
-    black: Array = np.zeros((1, 1, 1), np.float32)
-    if room.dark is not None:
-        black, over = _means(room.dark, shape, block, rows, True)
-        room.exposures["dark"] = _exposure(black, over)
     inside = np.ones(shape, bool)
     if room.mask is not None:
         inside = _means(room.mask, shape, block, rows, False)[0].max(axis=-1) > 0
     lamps = list(room.photographs)
     images = np.empty((len(lamps), *shape, room.info.channels), np.float32)
-    saturated = np.empty((len(lamps), *shape), bool)
+    shares = np.empty((len(lamps), *shape), np.float32)
+    black: Array = np.zeros((1, 1, 1), np.float32)
 
-    def average(i: int) -> None:
-        light, share = _means(room.photographs[lamps[i]], shape, block, rows, limited)
-        images[i], saturated[i] = light - black, share > 0
-        room.exposures[lamps[i]] = _exposure(images[i][inside], share[inside])
+    def averaged(photograph: Photograph) -> tuple[Array, Array]:
+        return _means(photograph, shape, block, rows, limited or photograph is room.dark)
 
-    with ThreadPoolExecutor(cores()) as pool:
-        for done, _ in enumerate(pool.map(average, range(len(lamps))), 1):
-            progress(done / len(lamps))
+    everything = [*([room.dark] if room.dark else []), *room.photographs.values()]
+    for done, (light, share) in enumerate(in_order(averaged, everything), 1 - len(everything) + len(lamps)):
+        if done == 0:
+            black, room.exposures["dark"] = light, _exposure(light, share)
+            continue
+        images[done - 1], shares[done - 1] = light - black, share
+        progress(done / len(lamps))
+    for lamp, image, share in zip(lamps, images, shares, strict=True):
+        room.exposures[lamp] = _exposure(image[inside], share[inside])
     room.check()
-    return BlockMeans(images, saturated, inside)
+    return BlockMeans(images, shares > 0, inside)
 
 
 def _means(

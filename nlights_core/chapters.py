@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -367,14 +368,21 @@ def chapters(views: Views, record: Mapping[str, Any]) -> list[Chapter]:
         reference) are shown.
     """
     lamps = [str(name) for name in record.get("lamps") or ()]
-    removed = tuple(_removed(views, lamps))
+    # Matplotlib must not draw in two threads at once: the chapters with plots keep to one.
+    with ThreadPoolExecutor(1) as beside:
+        plotted = beside.submit(
+            lambda: (tuple(_surface(views, record.get("white"))), tuple(_light(views, record.get("lights"))))
+        )
+        removed, trust = tuple(_removed(views, lamps)), tuple(_trust(views))
+        photographs = tuple(_photographs(views, lamps))
+        surface, light = plotted.result()
     every = [
-        Chapter("surface", "The surface", "", tuple(_surface(views, record.get("white")))),
+        Chapter("surface", "The surface", "", surface),
         Chapter(
             "trust",
             "How far to trust it",
             "Where these pictures are uneven, look at the surface above with care.",
-            tuple(_trust(views)),
+            trust,
         ),
         Chapter(
             "removed",
@@ -385,12 +393,7 @@ def chapters(views: Views, record: Mapping[str, Any]) -> list[Chapter]:
             else "Nothing was taken out of this measurement.",
             removed,
         ),
-        Chapter("light", "The light", "", tuple(_light(views, record.get("lights")))),
-        Chapter(
-            "photographs",
-            "The photographs",
-            "Reduced, all at the same exposure.",
-            tuple(_photographs(views, lamps)),
-        ),
+        Chapter("light", "The light", "", light),
+        Chapter("photographs", "The photographs", "Reduced, all at the same exposure.", photographs),
     ]
     return [chapter for chapter in every if chapter.pictures or chapter.anchor == "removed"]

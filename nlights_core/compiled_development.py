@@ -35,7 +35,8 @@ SATURATED, SHADOWED, COUNTED = 0, BLOCK, 2 * BLOCK
 
 # Of the scratch of a block, in an array (SCRATCH,): the pixel's point, 1 + its distance^2 from the
 # camera's axis over z^2, where it is in its cell of the plate, the exponent that the vignetting adds, the
-# variance; the mask; number of lights that are saturated; three colours of the dark frame, of the photograph, and of one over the plate.
+# mask; the number of lights that are saturated; three colours of the dark frame, of the photograph, and of
+# minus the binary logarithm of the plate.
 _X, _Y, _Z, _SEEN, _FURTHER, _RIGHT, _DOWN, _CELL, _LENS, _INSIDE, _LOST = range(0, 11 * BLOCK, BLOCK)
 _DARK, LIGHT, INVERSE, SCRATCH = range(11 * BLOCK, 23 * BLOCK, 3 * BLOCK)
 

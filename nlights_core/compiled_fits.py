@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 import numba
 import numpy as np
 
+from nlights_core.compiling import compiling
 from nlights_core.frames import Array
 
 BLOCK = 128
@@ -83,9 +84,8 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     settings: Any = numba.config
     chosen = settings.CACHE_DIR
     settings.CACHE_DIR = str(Path(chosen or Path(__file__).parent / "__pycache__") / f"kernels-{_SOURCES}")
-    options: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract"}, "_nrt": False}
     try:
-        made: Callable[..., Any] = numba.njit(nogil=True, cache=True, **options)(function)
+        made: Callable[..., Any] = compiling(fastmath={"contract"}, _nrt=False)(function)
     finally:
         settings.CACHE_DIR = chosen
     return made

@@ -6,15 +6,14 @@ results once and in the same order, so that they are the same with any number of
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
+from nlights_core.compiling import compiled
 from nlights_core.frames import Array
 
 Float = np.float32
 """Single precision: constants of double precision would make it that."""
 
-compiled = numba.njit(cache=True, nogil=True, error_model="numpy")
 
 HALO = 3
 """Rows beyond a band that its steps depend on."""

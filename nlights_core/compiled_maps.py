@@ -1,4 +1,4 @@
-"""Compiled loops over the pixels of maps: their correction, codes for viewing, reduction and sums.
+"""Compiled loops over the pixels of maps: their correction, codes for viewing and reduction.
 
 Import this only where it is used: Numba takes half a second.  Every loop writes each of its
 results once and in the same order, so that they are the same with any number of threads.
@@ -8,12 +8,10 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 
+from nlights_core.compiling import compiled
 from nlights_core.frames import Array
-
-compiled = numba.njit(cache=True, nogil=True, error_model="numpy")
 
 BEFORE, AFTER = 2, 3
 """Pixels that a step's formula reaches to before and behind its first pixel."""
@@ -251,6 +249,27 @@ def normal_colours(normals: Array, out: Array) -> None:
 
 
 @compiled
+def levels(values: Array, low: float, high: float, span: float, out: Array) -> None:
+    """Places of values (h, w) on a scale of 256 steps from ``low`` to ``high``, ``span`` apart; not known: 0."""
+    for i in range(values.shape[0]):
+        for j in range(values.shape[1]):
+            value = values[i, j]
+            share = (min(max(value, low), high) - low) / span
+            out[i, j] = np.uint8(share * 255 + 0.5) if abs(value) < np.inf else np.uint8(0)
+
+
+@compiled
+def hatched(colours: Array, known: Array, times: int, out: Array) -> None:
+    """Colours (h, w, 3), each ``times`` x ``times`` pixels of ``out``, and grey stripes where not known."""
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            stripe = np.uint8(196 if (i + j) // 5 % 2 else 164)
+            valid = known[i // times, j // times]
+            for k in range(3):
+                out[i, j, k] = colours[i // times, j // times, k] if valid else stripe
+
+
+@compiled
 def differences(colours: Array, out: Array) -> None:
     """Rows of colours (n, B) as PNG filters them: each less the one above it, modulo 256.
 
@@ -268,22 +287,26 @@ def differences(colours: Array, out: Array) -> None:
 @compiled
 def block_means(array: Array, factor: int, out: Array) -> None:
     """Means of what is known in blocks of pixels (n * factor, W, C), NaN where under half of a block is."""
-    total, known = np.empty(out.shape[1:]), np.empty(out.shape[1:])
-    for k in range(out.shape[0]):
+    rows, width, channels = out.shape
+    # Down first, along the memory: so a core adds several neighbours at once.
+    total, known = np.empty(width * factor * channels), np.empty(width * factor * channels)
+    for k in range(rows):
         total[:] = 0
         known[:] = 0
         for i in range(k * factor, (k + 1) * factor):
-            for m in range(out.shape[1]):
+            line = array[i].reshape(-1)
+            for j in range(total.size):
+                value = np.float64(line[j])
+                valid = abs(value) < np.inf
+                total[j] += value if valid else 0.0
+                known[j] += 1.0 if valid else 0.0
+        for m in range(width):
+            for channel in range(channels):
+                mean = count = 0.0
                 for j in range(m * factor, (m + 1) * factor):
-                    for channel in range(out.shape[2]):
-                        value = np.float64(array[i, j, channel])
-                        valid = np.isfinite(value)
-                        total[m, channel] += value if valid else 0.0
-                        known[m, channel] += 1.0 if valid else 0.0
-        for m in range(out.shape[1]):
-            for channel in range(out.shape[2]):
-                enough = 2 * known[m, channel] >= factor * factor
-                out[k, m, channel] = total[m, channel] / known[m, channel] if enough else np.nan
+                    mean += total[j * channels + channel]
+                    count += known[j * channels + channel]
+                out[k, m, channel] = mean / count if 2 * count >= factor * factor else np.nan
 
 
 @compiled
@@ -319,67 +342,3 @@ def line_means(
                 over += high >= level
         means[m] = sums / (lines * block)
         saturated[m] = over / (lines * block)
-
-
-@compiled
-def sum_of_known(values: Array) -> tuple[float, int]:
-    """Sum, in float64, and number of the finite ones of some values (N,)."""
-    total, known = 0.0, 0
-    for i in range(values.size):
-        if np.isfinite(values[i]):
-            total += values[i]
-            known += 1
-    return total, known
-
-
-@compiled
-def misclosure(normals: Array, steepest: float) -> tuple[float, int]:
-    """Sum of the squares, and number, of `map_statistics.misclosure` over (n, W, 3), per pixel size.
-
-    Slopes are limited to ``steepest``, as in `NormalField.gradient`.
-    """
-    columns = normals.shape[1]
-    p, q = np.empty((2, columns), np.float32), np.empty((2, columns), np.float32)
-    total, known = 0.0, 0
-    for i in range(normals.shape[0]):
-        above, here = (i + 1) % 2, i % 2
-        for j in range(columns):
-            nz = normals[i, j, 2]
-            across, down = -normals[i, j, 0] / nz, normals[i, j, 1] / nz
-            slope = math.sqrt(across * across + down * down)
-            limit = steepest / slope if slope > steepest else 1.0
-            p[here, j] = across * limit if nz > 0 else np.nan
-            q[here, j] = down * limit if nz > 0 else np.nan
-        if i == 0:
-            continue
-        for j in range(columns - 1):
-            missed = np.float64(p[above, j] + p[above, j + 1] - p[here, j] - p[here, j + 1])
-            missed = (missed + q[above, j + 1] + q[here, j + 1] - q[above, j] - q[here, j]) / 2
-            if np.isfinite(missed):
-                total += missed * missed
-                known += 1
-    return total, known
-
-
-@compiled
-def plane_sums(height: Array, x: Array, y: Array, matrix: Array, right: Array) -> None:
-    """Sums over the known pixels of (n, W) for a least-squares plane z = a x + b y + c.
-
-    ``matrix`` (3, 3) gets those of the products of x, y and 1, ``right`` (3,) those with z.
-    """
-    matrix[:] = 0
-    right[:] = 0
-    for i in range(height.shape[0]):
-        n, sx, sxx, sz, sxz = 0.0, 0.0, 0.0, 0.0, 0.0
-        for j in range(height.shape[1]):
-            z = np.float64(height[i, j])
-            if np.isfinite(z):
-                n += 1
-                sx += x[j]
-                sxx += x[j] * x[j]
-                sz += z
-                sxz += x[j] * z
-        matrix[0] += np.array((sxx, sx * y[i], sx))
-        matrix[1] += np.array((sx * y[i], n * y[i] * y[i], n * y[i]))
-        matrix[2] += np.array((sx, n * y[i], n))
-        right += np.array((sxz, sz * y[i], sz))

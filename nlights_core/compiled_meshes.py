@@ -5,9 +5,11 @@ Import this only where it is used: Numba takes half a second.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from nlights_core.compiled_maps import compiled
+from nlights_core.compiling import compiled
 from nlights_core.frames import Array
 
 
@@ -195,8 +197,8 @@ def network(
 
 @compiled
 def deviation(
-    places: Array, corners: Array, height: Array, reached: Array, start: int, stop: int
-) -> tuple[float, float, int]:
+    places: Array, corners: Array, height: Array, start: int, stop: int
+) -> tuple[float, float, int, int, int]:
     """Distance along z of a mesh from a height map, at every pixel of some rows that lies under it.
 
     Parameters
@@ -207,8 +209,6 @@ def deviation(
         The triangles; seen along z none overlaps another.
     height : (H, W) float32 array
         NaN where not known.
-    reached : (H, W) bool array
-        False; True afterwards where a pixel lies under the mesh.
     start, stop : int
         The rows.
 
@@ -220,10 +220,15 @@ def deviation(
         Sum of the squares.
     compared : int
         How many pixels these are.
+    reached : int
+        How many pixels lie under the mesh, known or not.
+    known : int
+        How many are known, under it or not.
     """
     columns = height.shape[1]
-    largest, square, compared = 0.0, 0.0, 0
+    largest, square, compared, total, known = 0.0, 0.0, 0, 0, 0
     slack = 1e-6  # a vertex that lies on a pixel must reach it
+    reached = np.zeros((stop - start, columns), np.bool_)
     for face in range(corners.shape[0]):
         a, b, c = places[corners[face, 0]], places[corners[face, 1]], places[corners[face, 2]]
         top = max(int(np.ceil(min(a[1], b[1], c[1]) - slack)), start)
@@ -236,36 +241,69 @@ def deviation(
             continue
         across = ((b[2] - a[2]) * cy - by * (c[2] - a[2])) / area
         down = (bx * (c[2] - a[2]) - (b[2] - a[2]) * cx) / area
+        # Each side is a line that bounds the rows on one hand: where it is at row 0, and its step per row.
+        turn = 1.0 if area > 0 else -1.0
+        ab, bc, ca = _side(a, b, turn, slack), _side(b, c, turn, slack), _side(c, a, turn, slack)
+        leftmost, rightmost = min(a[0], b[0], c[0]) - slack, max(a[0], b[0], c[0]) + slack
         for i in range(top, bottom + 1):
-            low, high = np.inf, -np.inf
-            for first, second in ((a, b), (b, c), (c, a)):
-                low, high = _crossing(first, second, i, slack, low, high)
-            left = max(int(np.ceil(low - slack)), 0) if low <= high else 1
-            right = min(int(np.floor(high + slack)), columns - 1) if low <= high else 0
+            low, high = leftmost, rightmost
+            for on_left, place, step in (ab, bc, ca):
+                low = max(low, place + step * i) if on_left > 0 else low
+                high = min(high, place + step * i) if on_left < 0 else high
+            left, right = max(int(np.ceil(low)), 0), min(int(np.floor(high)), columns - 1)
+            plane = a[2] + down * (i - a[1]) - across * a[0]
+            line, seen = height[i], reached[i - start]
             for j in range(left, right + 1):
-                if reached[i, j]:
-                    continue
-                reached[i, j] = True
-                distance = abs(a[2] + across * (j - a[0]) + down * (i - a[1]) - height[i, j])
-                if distance == distance:
-                    largest = max(largest, distance)
-                    square += distance * distance
-                    compared += 1
-    return largest, square, compared
+                distance = abs(plane + across * j - line[j])
+                counts = distance == distance and not seen[j]
+                seen[j] = True
+                distance = distance if counts else 0.0
+                largest = distance if distance > largest else largest
+                square += distance * distance
+                compared += counts
+    for i in range(start, stop):
+        line, seen = height[i], reached[i - start]
+        for j in range(columns):
+            total += seen[j]
+            known += line[j] == line[j]
+    return largest, square, compared, total, known
 
 
 @compiled
-def _crossing(
-    first: Array, second: Array, row: float, slack: float, low: float, high: float
-) -> tuple[float, float]:
-    """The span of a row within a triangle, widened by where one of its sides crosses the row."""
+def _side(first: Array, second: Array, turn: float, slack: float) -> tuple[float, float, float]:
+    """Whether a triangle's side bounds it on the left (1), the right (-1) or not at all within a row (0).
+
+    Then the side's column in row 0, moved outwards by ``slack``, and its columns per row.
+    """
     rise = second[1] - first[1]
-    share = (row - first[1]) / rise if rise != 0 else 0.0
-    margin = slack / abs(rise) if rise != 0 else np.inf
-    if -margin <= share <= 1 + margin and (rise != 0 or abs(row - first[1]) <= slack):
-        share = min(max(share, 0.0), 1.0)
-        column = first[0] + share * (second[0] - first[0])
-        low, high = min(low, column), max(high, column)
-        if rise == 0:
-            low, high = min(low, second[0]), max(high, second[0])
-    return low, high
+    if rise == 0:
+        return 0.0, 0.0, 0.0
+    step = (second[0] - first[0]) / rise
+    hand = -turn if rise > 0 else turn
+    return hand, first[0] - step * first[1] - hand * slack * math.sqrt(1 + step * step), step
+
+
+@compiled
+def vertex_normals(points: Array, corners: Array, out: Array) -> None:
+    """Unit normals (V, 3) float32 of a mesh's vertices: means of their faces', weighted by the angles there."""
+    total = np.zeros((len(points), 3))
+    for face in range(len(corners)):
+        a, b, c = points[corners[face, 0]], points[corners[face, 1]], points[corners[face, 2]]
+        ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+        vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+        x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        area = math.sqrt(x * x + y * y + z * z)
+        if area == 0:
+            continue
+        uu = ux * ux + uy * uy + uz * uz
+        uv = ux * vx + uy * vy + uz * vz
+        first, second = math.atan2(area, uv), math.atan2(area, uu - uv)
+        for k, angle in enumerate((first, second, math.pi - first - second)):
+            vertex = corners[face, k]
+            total[vertex, 0] += x * angle / area
+            total[vertex, 1] += y * angle / area
+            total[vertex, 2] += z * angle / area
+    for i in range(len(points)):
+        length = math.sqrt(total[i, 0] ** 2 + total[i, 1] ** 2 + total[i, 2] ** 2)
+        for k in range(3):
+            out[i, k] = total[i, k] / length if length > 0 else 1.0 * (k == 2)

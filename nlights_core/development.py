@@ -17,6 +17,7 @@ from nlights_core.errors import TileError
 from nlights_core.fields import LightField
 from nlights_core.frames import Array, PixelGrid
 from nlights_core.images import EYE, ImageInfo, Photograph, grey, is_saturated
+from nlights_core.kernels import available
 from nlights_core.noise import Noise, measure_noise
 from nlights_core.plates import Plate
 from nlights_core.surveys import grid_of, survey
@@ -29,7 +30,6 @@ BLACK = 5e-4
 
 BURNT = 0.99
 """A frame with more than this share of saturated pixels says nothing."""
-
 
 VIEW_COLUMNS = 300
 """About how wide the small views of the photographs are, px."""
@@ -248,13 +248,13 @@ class Darkroom:
         """
         points = self.grid.points(raw.start, raw.stop, height)
         weights = np.where(raw.saturated | ~raw.inside, np.float32(0), np.float32(1))
-        vectors = lights.vectors(points)
         images, ambient, shares = raw.images, None, None
         if lights.ambient.any():
             ambient = np.broadcast_to(
                 lights.ambient.astype(np.float32)[:, None, None], images.shape[:3]
             ).copy()
         if plate is None:
+            vectors = lights.vectors(points)
             mix = grey_shares(images.shape[-1], None)
             # Without a plate it is not known where each lamp is bright: all weigh the same.
             weights /= self.noise.photons(lights.power.astype(np.float32), mix).mean()
@@ -264,10 +264,13 @@ class Darkroom:
             mix = grey_shares(images.shape[-1], plate)
             # The lens dims by the pixel, not by where the lamp's ray meets the plane.
             pixels = None if height is None else self.grid.points(raw.start, raw.stop)[:2]
-            relative = _relative(
-                images, weights, vectors, ambient, lights, plate, points, pixels, self.noise, mix
-            )
-            vectors, ambient = relative
+            if lights.near and ambient is None and available():
+                photons = mix**2 * self.noise.gain / lights.power
+                vectors = _related(images, weights, lights, plate, points, pixels, photons)
+            else:
+                vectors, ambient = _relative(
+                    images, weights, ambient, lights, plate, points, pixels, self.noise, mix
+                )
         mixed = grey(images, shares)
         self.noise.with_readout(weights, mixed, mix)
         weights /= np.float32(PHOTONS)
@@ -298,7 +301,6 @@ def grey_shares(channels: int, plate: Plate | None) -> Array:
 def _relative(
     images: Array,
     weights: Array,
-    vectors: Array,
     ambient: Array | None,
     lights: LightField,
     plate: Plate,
@@ -312,7 +314,7 @@ def _relative(
     The plate is read where each lamp's ray through a point meets the plane (numerics, section
     1): power, emission and fall-off cancel there, and only geometry is left.
     """
-    origins = lights.plane_points(points)
+    vectors, origins = lights.vectors(points), lights.plane_points(points)
     relative = np.empty((len(images), *points.shape[1:], 3), np.float32)
     for i, power in enumerate(lights.power.astype(np.float32)):
         x, y = origins[i if len(origins) > 1 else 0]
@@ -330,6 +332,34 @@ def _relative(
         else:
             relative[i] = vectors[i] / vectors[i, ..., 2:]
     return relative, ambient
+
+
+def _related(
+    images: Array,
+    weights: Array,
+    lights: LightField,
+    plate: Plate,
+    points: Array,
+    pixels: Array | None,
+    photons: Array,
+) -> Array:
+    """As `_relative`, for near lamps without ambient light; ``photons`` (L, C) is the variance they bring."""
+    from nlights_core.compiled_overview import relate
+
+    assert lights.positions is not None
+    relative = np.empty((len(images), *points.shape[1:], 3), np.float32)
+    seen, lens = np.empty((0, 0), np.float32), np.zeros(4)
+    if pixels is not None and plate.camera is not None:
+        x, y, z = plate.camera
+        lens = np.array([x, y, z**-2, plate.vignetting])
+        seen = 1 + ((pixels[0] - np.float32(x)) ** 2 + (pixels[1] - np.float32(y)) ** 2) * np.float32(z**-2)
+    place, least = np.array([plate.left, plate.top, plate.step]), 1e-6 * plate.brightest
+    for i, position in enumerate(lights.positions):
+        own = np.require(plate.logarithm[i], np.float32, ["C", "W"])
+        relate(
+            points, position, own, place, lens, seen, photons[i], least, images[i], weights[i], relative[i]
+        )
+    return relative
 
 
 @contextmanager

@@ -250,6 +250,7 @@ def write_bands(
     description: str,
     icc: bytes | None = None,
     compression: Compression = "none",
+    read_soon: bool = False,
 ) -> None:
     """Write a TIFF as `write_tiff` does, from rows as they are made.
 
@@ -265,6 +266,8 @@ def write_bands(
         Of the pixels.
     grid, description, icc, compression
         As in `write_tiff`.
+    read_soon : bool
+        As for `SteadyFile`.
 
     Raises
     ------
@@ -274,7 +277,9 @@ def write_bands(
     import tifffile
 
     if compression == "none":
-        with BandTiff(Path(path), shape, dtype, grid=grid, description=description, icc=icc) as file:
+        with BandTiff(
+            Path(path), shape, dtype, grid=grid, description=description, icc=icc, read_soon=read_soon
+        ) as file:
             for part in rows:
                 file.write(part)
         return

@@ -17,16 +17,16 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
 from nlights_core import least_squares
 from nlights_core.band_threads import in_order
-from nlights_core.development import Darkroom, Raw
+from nlights_core.development import Darkroom
 from nlights_core.fields import LightField
 from nlights_core.frames import Array, PixelGrid
 from nlights_core.integration import simchony
+from nlights_core.linearisation import Linearised, Strip, linearised
 from nlights_core.plates import Plate
 
 BLOCKS = 32
@@ -65,10 +65,6 @@ SETTLED = STEADY / 4
 REWEIGHTINGS = 4
 TUNING = 2.385
 """Cauchy's loss with this times the spread keeps 95 % of the efficiency of least squares on clean data."""
-
-STEP = 0.05
-SHADOW = 0.05
-CONDITION = 100.0
 
 
 @dataclass(frozen=True)
@@ -138,7 +134,7 @@ def level(
     rows = _sample_rows(room)
     bends = _bends(room.grid, lights, plate)
     strips = [
-        _Strip(
+        Strip(
             room.raw(*lines, lights), np.asarray(height[slice(*lines)]), _enlarged(bends, room.grid, *lines)
         )
         for lines in rows
@@ -212,7 +208,7 @@ def _equations(
     room: Darkroom,
     lights: LightField,
     plate: Plate,
-    strips: Sequence[_Strip],
+    strips: Sequence[Strip],
     offset: float,
     logarithms: Array,
     before: Array,
@@ -222,10 +218,10 @@ def _equations(
     No pixels are counted when too many samples are strange: gloss would be taken for height.
     """
 
-    def linearised(strip: _Strip) -> _Linearised:
-        return _linearised(room, lights, plate, strip, offset, logarithms, before)
+    def at_present(strip: Strip) -> Linearised:
+        return linearised(room, lights, plate, strip, offset, logarithms, before)
 
-    parts = list(in_order(linearised, strips))
+    parts = list(in_order(at_present, strips))
     size = len(lights.lamps) + 1
     matrix, right, pixels = np.zeros((size, size)), np.zeros(size), 0
     settled, scale = parts, 1.0
@@ -238,9 +234,9 @@ def _equations(
         scale = max(float(np.median(surprise)) / 0.6745, 1e-9)
         limit = TUNING * scale
 
-        def reweighted(pair: tuple[_Linearised, _Linearised], limit: float = limit) -> _Linearised:
+        def reweighted(pair: tuple[Linearised, Linearised], limit: float = limit) -> Linearised:
             first, last = pair
-            return first.with_weights(first.weights / (1 + (np.nan_to_num(last.surprise) / limit) ** 2))
+            return first.reweighted(last.surprise, limit)
 
         settled = list(in_order(reweighted, zip(parts, settled, strict=True)))
     strange = np.concatenate([np.nan_to_num(part.surprise).ravel() for part in settled]) > 5 * scale
@@ -249,61 +245,6 @@ def _equations(
     for one, two, many in in_order(lambda part: part.sums(scale), settled):
         matrix, right, pixels = matrix + one, right + two, pixels + many
     return matrix, right, pixels
-
-
-@dataclass(frozen=True)
-class _Linearised:
-    """A band linearised about the present offset and strengths; arrays (L, h, w)."""
-
-    images: Array
-    lights: Array
-    weights: Array
-    by_offset: Array
-    bends: Array
-    surprise: Array
-    found: least_squares.Fit
-    albedo: Array
-
-    def with_weights(self, weights: Array) -> _Linearised:
-        """Solve again with other weights."""
-        return _solved(self.images, self.lights, weights, self.by_offset, self.bends)
-
-    def sums(self, scale: float) -> tuple[Array, Array, int]:
-        """Share of this band of the normal equations."""
-        known = np.isfinite(self.albedo)
-        count = len(self.images)
-        weights = np.where(known, self.weights / (scale**2 * self.albedo), 0)
-        inverse, lights = self.found.inverse, self.lights.astype(np.float64)
-        residual = np.nan_to_num(_residuals(self.images, lights, self.found.scaled))
-        shown = np.nan_to_num(self.images - residual)
-        across = _off_normals(self.by_offset, lights, self.weights, inverse)
-        across = np.where(known, np.nan_to_num(across), 0)
-        # Products of by_offset, which a drift changes by its bend, with itself, residual and drifts.
-        own = np.sum(weights * self.by_offset * across, axis=0)
-        rest = np.sum(weights * across * residual, axis=0)
-        mixed = -weights * across * shown
-        matrix, right = np.zeros((count + 1, count + 1)), np.zeros(count + 1)
-        matrix[0, 0], right[0] = np.sum(own), -np.sum(rest)
-        turned = [least_squares.multiply(inverse, np.moveaxis(light, -1, 0)) for light in lights]
-        for k, bend in enumerate(self.bends):
-            matrix[0, k + 1] = matrix[k + 1, 0] = np.sum(mixed[k] - bend * own)
-            right[k + 1] = np.sum(weights[k] * shown[k] * residual[k] + bend * rest)
-            for m in range(k, count):
-                shared = np.sum(np.moveaxis(lights[k], -1, 0) * turned[m], axis=0) * self.weights[m]
-                off = (k == m) - np.where(known, shared, 0)
-                other = self.bends[m]
-                both = bend * mixed[m] + other * mixed[k] - bend * other * own
-                value = np.sum(weights[k] * shown[k] * off * shown[m] - both)
-                matrix[k + 1, m + 1] = matrix[m + 1, k + 1] = value
-        return matrix, right, int(np.count_nonzero(known))
-
-
-class _Strip(NamedTuple):
-    """Some rows of the photographs, their height (h, w), and what drifts have bent it by (L, h, w)."""
-
-    raw: Raw
-    height: Array
-    bends: Array
 
 
 def _bends(grid: PixelGrid, lights: LightField, plate: Plate) -> Array:
@@ -339,62 +280,3 @@ def _enlarged(bends: Array, grid: PixelGrid, start: int, stop: int) -> Array:
     below, right = np.minimum(above + 1, bends.shape[1] - 1), np.minimum(left + 1, bends.shape[2] - 1)
     lines = bends[:, above] + (bends[:, below] - bends[:, above]) * (rows - above)[None, :, None]
     return np.asarray(lines[:, :, left] + (lines[:, :, right] - lines[:, :, left]) * (columns - left))
-
-
-def _linearised(
-    room: Darkroom,
-    lights: LightField,
-    plate: Plate,
-    strip: _Strip,
-    offset: float,
-    logarithms: Array,
-    before: Array,
-) -> _Linearised:
-    """Develop a band at an offset and a little above, and solve it.
-
-    What the drifts that were not known ``before`` have bent the height by is taken off it.
-    """
-    raw = strip.raw
-    height = strip.height - np.einsum("l,lhw->hw", logarithms - before, strip.bends)
-    factors = np.exp(-logarithms).astype(np.float32)[:, None, None]
-
-    def developed(z: float) -> tuple[Array, Array, Array]:
-        band = room.develop(raw, lights, plate, (height + z).astype(np.float32))
-        weights = np.where(np.isfinite(height), band.weights, 0)
-        images = (band.grey * factors).astype(np.float64)
-        shape = (*images.shape, 3)
-        return images, np.broadcast_to(band.lights, shape), weights
-
-    images, light, weights = developed(offset)
-    above, light_above, _ = developed(offset + STEP)
-    usable = least_squares.lit(images, weights, SHADOW).astype(np.float64)
-    found = least_squares.fit(images, light, usable, CONDITION)
-    # A sample's noise is in its residual and would be in its change too, and their product has a
-    # mean: it was taken for 0.03 mm of height.  So it is the predicted images that are changed.
-    shown = images - _residuals(images, light, found.scaled)
-    brighter = np.divide(above, images, out=np.ones_like(images), where=images != 0)
-    return _solved(
-        images, light, usable, _residuals(shown * brighter, light_above, found.scaled) / STEP, strip.bends
-    )
-
-
-def _solved(images: Array, lights: Array, weights: Array, by_offset: Array, bends: Array) -> _Linearised:
-    found = least_squares.fit(images, lights, weights, CONDITION)
-    albedo = np.sqrt(np.sum(found.scaled**2, axis=0))
-    residual = _residuals(images, lights, found.scaled)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        surprise = np.where(weights > 0, np.abs(residual) * np.sqrt(weights / albedo), np.nan)
-    return _Linearised(images, lights, weights, by_offset, bends, surprise, found, albedo)
-
-
-def _residuals(images: Array, lights: Array, scaled: Array) -> Array:
-    return np.stack(
-        [least_squares.residual(image, light, scaled) for image, light in zip(images, lights, strict=True)]
-    )
-
-
-def _off_normals(values: Array, lights: Array, weights: Array, inverse: Array) -> Array:
-    """What of some values in every pixel no change of its normal could explain, (L, h, w)."""
-    right = np.einsum("lhw,lhwk->khw", np.where(weights > 0, weights * values, 0), lights)
-    scaled = least_squares.multiply(inverse, right)
-    return _residuals(values, lights, scaled)

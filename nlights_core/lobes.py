@@ -170,6 +170,12 @@ def predicted(lamps: Array, data: Readings) -> Array:
 
     ``lamps`` is that of `LobeFit`.
     """
+    ideal, lobes = _ideal_and_lobes(lamps, data)
+    return np.asarray(lamps[:, :1] + ideal + np.einsum("kln,lk->ln", lobes, lamps[:, 7:]))
+
+
+def _ideal_and_lobes(lamps: Array, data: Readings) -> tuple[Array, Array]:
+    """`predicted` of lamps of power 1 without the terms B_k, (L, N), and these terms, (11, L, N)."""
     positions, axes = data.positions + lamps[:, 4:7], optical_axes(lamps, data)
     ray = data.points - positions[:, None]
     distance = np.linalg.norm(ray, axis=2)
@@ -180,9 +186,8 @@ def predicted(lamps: Array, data: Readings) -> Array:
         / (along * data.half_power)
         for side in data.sides
     )
-    terms = np.einsum("kln,lk->ln", _lobes(u, v), lamps[:, 7:])
     height = np.log(np.maximum(positions[:, 2:], 1.0))
-    return np.asarray(lamps[:, :1] + shape + terms + height - 3 * np.log(distance))
+    return np.asarray(shape + height - 3 * np.log(distance)), _lobes(u, v)
 
 
 def _lobes(u: Array, v: Array) -> Array:
@@ -250,14 +255,22 @@ def fitted(data: Readings, position_mm: float, free: Array) -> LobeFit:
 
 
 def slopes(lamps: Array, data: Readings, now: Array, free: Array) -> Array:
-    """Derivatives of `predicted` by the free unknowns, (L, N, K), by differences from ``now``."""
+    """Derivatives of `predicted` by the free unknowns, (L, N, K), by differences from ``now``.
+
+    It is linear in the logarithm of the power and in the coefficients of the B_k.
+    """
     out = np.empty((*now.shape, np.count_nonzero(free)))
+    lobes = _ideal_and_lobes(lamps, data)[1] if free[7:].any() else None
     steps = 1e-3 * prior_deviations(1.0)
-    steps[0] = 1e-3
     for place, k in enumerate(np.flatnonzero(free)):
-        moved = lamps.copy()
-        moved[:, k] += steps[k]
-        out[..., place] = (predicted(moved, data) - now) / steps[k]
+        if k == 0:
+            out[..., place] = 1
+        elif lobes is not None and k >= 7:
+            out[..., place] = lobes[k - 7]
+        else:
+            moved = lamps.copy()
+            moved[:, k] += steps[k]
+            out[..., place] = (predicted(moved, data) - now) / steps[k]
     return out
 
 
@@ -268,9 +281,10 @@ def _normal_equations(slopes: Array, corners: Array, trust: Array, residual: Arr
     matrix, right = np.zeros((size + 2, size + 2)), np.zeros(size + 2)
     for i in range(count):
         own = slice(i * terms, (i + 1) * terms)
-        columns = np.concatenate([slopes[i], corners], axis=1)
-        weighted = columns * trust[i][:, None]
-        block, side = weighted.T @ columns, weighted.T @ residual[i]
+        columns = np.concatenate([slopes[i].T, corners.T])
+        weighted = columns * trust[i]
+        # No matrix product: it shares small work out to all cores, and waits long for busy ones.
+        block, side = np.einsum("kn,mn->km", weighted, columns), np.einsum("kn,n->k", weighted, residual[i])
         matrix[own, own] = block[:terms, :terms]
         matrix[own, size:] = block[:terms, terms:]
         matrix[size:, own] = block[terms:, :terms]

@@ -7,7 +7,7 @@ of at most `SAMPLE` pixels.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -21,40 +21,59 @@ STEEPEST = float(np.tan(np.radians(70)))
 """Slopes are limited to this, as in `NormalField.gradient`."""
 
 
-def mean_of(array: Array, of: Callable[[Array], Any] | None = None) -> float | None:
-    """Mean over what is known, by bands of rows.
+def mean_of(array: Array) -> float | None:
+    """Mean over what is known.
 
     Parameters
     ----------
-    array : (H, W, ...) array
+    array : (H, W, ...) float array
         NaN where not known.
-    of : callable, optional
-        What is averaged, computed from each band; the band itself if absent.
 
     Returns
     -------
     float or None
         None where nothing is known.
     """
-    total, count = 0.0, 0
-    places = bands(array.shape[0], array[:1].nbytes)
-    for part, known in in_order(lambda band: _sum(_values(array, band, of)), places):
-        total, count = total + part, count + known
-    return total / count if count else None
+    from nlights_core import compiled_statistics
+
+    total, known = _added(lambda band: compiled_statistics.known_sum(_flat(array[band])), array)
+    return float(total / known) if known else None
 
 
-def _values(array: Array, band: slice, of: Callable[[Array], Any] | None) -> Array:
-    """A band, or what is computed from it."""
-    return np.asarray(array[band] if of is None else of(array[band]))
+def counts(array: Array, least: int = 1) -> tuple[float, float] | None:
+    """Mean of whole numbers (H, W), and the share of them that are at least ``least``; None without any."""
+    from nlights_core import compiled_statistics
+
+    if not array.size:
+        return None
+    total, enough = _added(lambda band: compiled_statistics.counts(_flat(array[band]), least), array)
+    return total / array.size, enough / array.size
 
 
-def _sum(values: Array) -> tuple[float, int]:
-    """Sum, in float64, and number of the known ones."""
-    from nlights_core import compiled_maps
+def inclination(normals: Array) -> tuple[float, float | None]:
+    """Share of the normals (H, W, 3) that are known, and the mean of their angles to z, degrees.
 
-    if values.dtype.kind != "f":
-        return float(values.sum(dtype=np.int64)), values.size
-    return compiled_maps.sum_of_known(np.ascontiguousarray(values).reshape(-1))
+    The angle is None where nothing is known.
+    """
+    from nlights_core import compiled_statistics
+
+    def sums(band: slice) -> tuple[float, int]:
+        return compiled_statistics.inclinations(_flat(normals[band]).reshape(-1, 3))
+
+    total, known = _added(sums, normals)
+    share = known / max(1, normals.size // 3)
+    return share, float(np.degrees(total / known)) if known else None
+
+
+def _flat(band: Array) -> Array:
+    """A band in one dimension, as the compiled loops take it."""
+    return np.ascontiguousarray(band).reshape(-1)
+
+
+def _added(sums: Callable[[slice], tuple[Any, Any]], array: Array) -> tuple[Any, Any]:
+    """Two sums over all bands of rows, added in their order."""
+    found = list(in_order(sums, bands(array.shape[0], array[:1].nbytes)))
+    return sum(first for first, _ in found), sum(second for _, second in found)
 
 
 def extremes(array: Array, of: Callable[[Array], Any] | None = None) -> tuple[float, float] | None:
@@ -74,7 +93,7 @@ def extremes(array: Array, of: Callable[[Array], Any] | None = None) -> tuple[fl
     """
 
     def ends(band: slice) -> tuple[float, float]:
-        values = _values(array, band, of)
+        values = np.asarray(array[band] if of is None else of(array[band]))
         known = np.isfinite(values)
         return (
             float(np.min(values, where=known, initial=np.inf)),
@@ -129,18 +148,35 @@ def misclosure(normals: Array, grid: PixelGrid) -> float | None:
     float or None
         Root mean square of m in the grid's unit; None where no 2 x 2 pixels are known.
     """
-    from nlights_core import compiled_maps
+    from nlights_core import compiled_statistics
 
     def squares(band: slice) -> tuple[float, int]:
-        return compiled_maps.misclosure(normals[band.start : band.stop + 1], STEEPEST)
+        # One row more: its squares with the band's last.
+        part = np.ascontiguousarray(normals[band.start : band.stop + 1])
+        return compiled_statistics.misclosure(part, np.float32(STEEPEST))
 
-    found = list(in_order(squares, bands(grid.rows, normals[:1].nbytes)))
-    count = sum(known for _, known in found)
-    return float(grid.pixel_size * np.sqrt(sum(total for total, _ in found) / count)) if count else None
+    total, count = _added(squares, normals)
+    return float(grid.pixel_size * np.sqrt(total / count)) if count else None
 
 
-def best_plane(height: Array, grid: PixelGrid) -> tuple[float, float, float] | None:
-    """Least-squares plane ``z = a x + b y + c`` of a height map.
+class Relief(NamedTuple):
+    """What a height map is as a whole.
+
+    Attributes
+    ----------
+    rms : float
+        Of the known heights about their mean, in the grid's unit.
+    plane : (a, b, c) or None
+        Least-squares plane ``z = a x + b y + c``: slopes (dimensionless) and offset (the grid's
+        unit); None where fewer than three pixels that are not on a line are known.
+    """
+
+    rms: float
+    plane: tuple[float, float, float] | None
+
+
+def relief(height: Array, grid: PixelGrid, level: float = 0.0) -> Relief | None:
+    """Spread and best plane of a height map, in one look at it.
 
     Parameters
     ----------
@@ -148,27 +184,33 @@ def best_plane(height: Array, grid: PixelGrid) -> tuple[float, float, float] | N
         NaN where not known.
     grid : PixelGrid
         Where the pixels are.
+    level : float
+        About where the heights are: sums that count from there keep all their digits.
 
     Returns
     -------
-    (a, b, c) or None
-        Slopes (dimensionless) and offset (the grid's unit); None where fewer than three pixels
-        that are not on a line are known.
+    Relief or None
+        None where nothing is known.
     """
-    from nlights_core import compiled_maps
+    from nlights_core import compiled_statistics
 
     x = grid.x()
 
-    def sums(band: slice) -> tuple[Array, Array]:
+    def sums(band: slice) -> tuple[Array, Array, float]:
         part = np.empty((3, 3)), np.empty(3)
-        compiled_maps.plane_sums(height[band], x, grid.y(band.start, band.stop), *part)
-        return part
+        y = grid.y(band.start, band.stop)
+        return *part, compiled_statistics.height_sums(height[band], level, x, y, *part)
 
-    matrix, right = np.zeros((3, 3)), np.zeros(3)
-    for products, heights in in_order(sums, bands(grid.rows, height[:1].nbytes)):
+    matrix, right, square = np.zeros((3, 3)), np.zeros(3), 0.0
+    for products, heights, squares in in_order(sums, bands(grid.rows, height[:1].nbytes)):
         matrix += products
         right += heights
-    if np.linalg.matrix_rank(matrix / np.max(np.abs(matrix), initial=1.0)) < 3:
+        square += squares
+    count = matrix[2, 2]
+    if not count:
         return None
+    rms = float(np.sqrt(max(0.0, square / count - (right[2] / count) ** 2)))
+    if np.linalg.matrix_rank(matrix / np.max(np.abs(matrix), initial=1.0)) < 3:
+        return Relief(rms, None)
     a, b, c = np.linalg.solve(matrix, right)
-    return float(a), float(b), float(c)
+    return Relief(rms, (float(a), float(b), float(c) + level))

@@ -102,14 +102,37 @@ def write_glb(
     .. [2] M. Garland and P. S. Heckbert, "Surface simplification using quadric error metrics",
        SIGGRAPH 1997.
     """
+    from nlights_core import compiled_meshes
+
+    block = min(-(-max(grid.shape) // texture_px), *grid.shape)
+    places, corners, found = _decimated(height, grid, faces)
+    if not len(corners):
+        raise ValueError(f"{path}: no 2 x 2 pixels of the height are known, so there is no surface to mesh")
+    points = np.stack(
+        [
+            grid.x()[0] + grid.pixel_size * places[:, 0],
+            grid.y(0, 1)[0] - grid.pixel_size * places[:, 1],
+            places[:, 2],
+        ],
+        axis=1,
+    )
+    texture = _texture(albedo, block)
+    uv = _on_texture(places, texture.shape[:2], block)
+    points = _seen_in_perspective(points, grid) / 1000
+    normals = np.empty(points.shape, np.float32)
+    compiled_meshes.vertex_normals(points, corners, normals)
+    _save_glb(Path(path), points, normals, corners, texture, uv, grid.unit)
+    return {"faces": len(corners), "vertices": len(places), **found}
+
+
+def _decimated(height: Array, grid: PixelGrid, faces: int) -> tuple[Array, Array, dict[str, float]]:
+    """Vertices (column, row, z) and triangles of at most ``faces``, none where none are; their deviation."""
     factor = min(max(1, int(np.ceil(np.sqrt(height.size / REDUCED_PIXELS)))), *grid.shape)
     reduced = block_means(height, factor)
     if 2 * reduced.size <= REFINED * faces or min(reduced.shape) < 2:
         places, corners = _height_field(reduced)
     else:
         places, corners = refined(reduced, REFINED * faces)
-    if not len(corners):
-        raise ValueError(f"{path}: no 2 x 2 pixels of the height are known, so there is no surface to mesh")
     if len(corners) > faces:
         import fast_simplification
 
@@ -119,18 +142,7 @@ def write_glb(
         places = places * step
     # From blocks to pixels: the centre of the first block lies amid its pixels.
     places[:, :2] = places[:, :2] * factor + (factor - 1) / 2
-    found = deviation(places, corners, height)
-    points = np.stack(
-        [
-            grid.x()[0] + grid.pixel_size * places[:, 0],
-            grid.y(0, 1)[0] - grid.pixel_size * places[:, 1],
-            places[:, 2],
-        ],
-        axis=1,
-    )
-    texture, uv = _texture(albedo, grid, points, texture_px)
-    _save_glb(Path(path), _seen_in_perspective(points, grid), corners, texture, uv, grid.unit)
-    return {"faces": len(corners), "vertices": len(places), **found}
+    return places, corners, deviation(places, corners, height)
 
 
 def _height_field(height: Array) -> tuple[Array, Array]:
@@ -207,41 +219,38 @@ def deviation(places: Array, corners: Array, height: Array) -> dict[str, float]:
     """
     from nlights_core import compiled_meshes
 
-    reached = np.zeros(height.shape, bool)
-
-    def parts(band: slice) -> tuple[tuple[float, float, int], int]:
-        found = compiled_meshes.deviation(places, corners, height, reached, band.start, band.stop)
-        return found, compiled_meshes.count(height[band], band.stop - band.start)[0]
+    def parts(band: slice) -> tuple[float, float, int, int, int]:
+        return compiled_meshes.deviation(places, corners, height, band.start, band.stop)
 
     # Few bands: each looks through all triangles for its own.
     rows = max(1, -(-len(height) // BANDS))
     bands = [slice(start, min(start + rows, len(height))) for start in range(0, len(height), rows)]
-    largest, square, compared, known = 0.0, 0.0, 0, 0
-    for (most, squares, count), finite in in_order(parts, bands):
-        largest, square = max(largest, most), square + squares
-        compared, known = compared + count, known + finite
-    bridged = int(np.count_nonzero(reached)) - compared
+    largest, squares, compared, reached, known = zip(*in_order(parts, bands), strict=True)
+    count = sum(compared)
     return {
-        "largest_deviation_mm": largest,
-        "rms_deviation_mm": float(np.sqrt(square / max(compared, 1))),
-        "covered": compared / max(known, 1),
-        "bridged": bridged / max(height.size - known, 1),
+        "largest_deviation_mm": max(largest),
+        "rms_deviation_mm": float(np.sqrt(sum(squares) / max(count, 1))),
+        "covered": count / max(sum(known), 1),
+        "bridged": (sum(reached) - count) / max(height.size - sum(known), 1),
     }
 
 
-def _texture(albedo: Array, grid: PixelGrid, points: Array, longest: int) -> tuple[Array, Array]:
-    """The albedo as 8-bit sRGB (h, w, 3), ``longest`` px at most, and where points (N, 3) lie on it (N, 2).
+def _texture(albedo: Array, block: int) -> Array:
+    """The albedo as 8-bit sRGB (h, w, 3), a pixel for each block of pixels."""
+    code = srgb_codes(block_means(albedo, block), np.uint8)
+    code = code.reshape(*code.shape[:2], -1)
+    return np.ascontiguousarray(np.broadcast_to(code, (*code.shape[:2], 3)))
 
-    Points are given before perspective moves them: where their pixel's ray meets the plane.
-    Coordinates run from 0 to 1, rightwards and upwards, over the whole blocks of pixels.
+
+def _on_texture(places: Array, shape: tuple[int, int], block: int) -> Array:
+    """Where vertices (column, row, z) lie on a texture of blocks: from 0 to 1, rightwards and upwards.
+
+    Perspective moves a vertex, but not on the texture: it has the colour of its pixel.
     """
-    factor = min(-(-max(grid.shape) // longest), *grid.shape)
-    code = srgb_codes(block_means(albedo, factor), np.uint8)
-    rows, columns = code.shape[:2]
-    across = (points[:, 0] - grid.x()[0]) / grid.pixel_size + 0.5
-    down = (grid.y(0, 1)[0] - points[:, 1]) / grid.pixel_size + 0.5
-    uv = np.stack([across / (columns * factor), 1 - down / (rows * factor)], axis=1)
-    return np.broadcast_to(code.reshape(rows, columns, -1), (rows, columns, 3)), np.clip(uv, 0, 1)
+    across = (places[:, 0] + 0.5) / (shape[1] * block)
+    down = (places[:, 1] + 0.5) / (shape[0] * block)
+    uv = np.stack([across, 1 - down], axis=1)
+    return np.clip(uv, 0, 1)
 
 
 def _seen_in_perspective(points: Array, grid: PixelGrid) -> Array:
@@ -254,21 +263,21 @@ def _seen_in_perspective(points: Array, grid: PixelGrid) -> Array:
     return moved
 
 
-def _save_glb(path: Path, points: Array, corners: Array, texture: Array, uv: Array, unit: str) -> None:
-    """Write a textured mesh given in the grid's unit as binary glTF, 1000 of them to the metre."""
+def _save_glb(
+    path: Path, points: Array, normals: Array, corners: Array, texture: Array, uv: Array, unit: str
+) -> None:
+    """Write a textured mesh given in metres as binary glTF; ``unit`` is what 1000 were of."""
     import trimesh
     from PIL import Image
 
     visual: Any = trimesh.visual
     material = visual.material.PBRMaterial(
-        name="albedo",
-        baseColorTexture=Image.fromarray(np.ascontiguousarray(texture)),
-        metallicFactor=0.0,
-        roughnessFactor=1.0,
+        name="albedo", baseColorTexture=Image.fromarray(texture), metallicFactor=0.0, roughnessFactor=1.0
     )
     mesh = trimesh.Trimesh(
-        points / 1000,
+        points,
         corners,
+        vertex_normals=normals,
         visual=visual.TextureVisuals(uv=uv, material=material),
         process=False,
         metadata={"frame": "x right, y up, z from the artwork to the camera", "unit": f"1 = 1000 {unit}"},

@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 from collections.abc import Collection
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from nlights_core.band_threads import in_order
 from nlights_core.frames import Array
 
 if TYPE_CHECKING:
@@ -115,17 +117,24 @@ def block_statistics(image: Array, usable: Array) -> tuple[Array, Array]:
     """
     rows, columns, channels = image.shape
     edge = min(BLOCK, rows, columns)
-    first = np.unique(np.linspace(0, columns - edge, min(BLOCKS, columns // edge)).round().astype(int))
-    across = first[:, None] + np.arange(edge)
+    across = _block_columns(columns, edge)
     blocks = np.moveaxis(image[:edge][:, across], 1, 0).astype(np.float64)
     kept = usable[:edge][:, across].all(axis=(0, 2))
     blocks = blocks[kept].reshape(-1, edge**2, channels)
     smooth = _smooth(edge)
-    left = np.sum(blocks**2, axis=1) - np.sum(np.einsum("pk,npc->nkc", smooth, blocks) ** 2, axis=1)
+    # Block by block: one large product would be shared out to cores that have their own work.
+    left = np.sum(blocks**2, axis=1) - np.sum((smooth.T @ blocks) ** 2, axis=1)
     freedom = edge**2 - smooth.shape[1]
     return blocks.mean(axis=1), np.maximum(left, 0) / freedom
 
 
+def _block_columns(columns: int, edge: int) -> Array:
+    """Columns of blocks spread over rows of so many, (n, edge)."""
+    first = np.unique(np.linspace(0, columns - edge, min(BLOCKS, columns // edge)).round().astype(int))
+    return np.asarray(first[:, None] + np.arange(edge))
+
+
+@cache
 def _smooth(edge: int) -> Array:
     """Orthonormal basis of the cubic surfaces over a block, (edge^2, 10): light is smooth, noise is not."""
     y, x = np.indices((edge, edge), dtype=np.float64) / edge - 0.5
@@ -156,18 +165,25 @@ def measure_noise(
     info = next(iter(photographs)).info
     edge = min(BLOCK, info.rows, info.columns)
     starts = np.linspace(0, info.rows - edge, min(BLOCKS // 4, info.rows // edge)).round().astype(int)
+    starts = np.unique(starts)
+    columns = _block_columns(info.columns, edge).ravel()
     limit = 1.0 if np.isfinite(info.saturation) else np.inf
-    found, unlit = [], []
-    for start in np.unique(starts):
-        rows = (int(start), int(start) + edge)
-        black = dark.band(*rows) if dark is not None else None
-        if black is not None:
-            unlit.append(block_statistics(black, np.ones(black.shape[:2], bool))[1])
-        for photograph in photographs:
-            image = photograph.band(*rows)
-            usable = np.asarray((image < limit).all(axis=-1))
-            found.append(block_statistics(image if black is None else image - black, usable))
+
+    def seen(photograph: Photograph) -> list[Array]:
+        return [photograph.band(int(start), int(start) + edge)[:, columns] for start in starts]
+
+    black = seen(dark) if dark is not None else []
+
+    def of_photograph(photograph: Photograph) -> list[tuple[Array, Array]]:
+        images = seen(photograph)
+        usable = [np.asarray((image < limit).all(axis=-1)) for image in images]
+        if black:
+            images = [image - b for image, b in zip(images, black, strict=True)]
+        return [block_statistics(image, whole) for image, whole in zip(images, usable, strict=True)]
+
+    found = [part for parts in in_order(of_photograph, photographs) for part in parts]
     means, variances = (np.concatenate([part[k] for part in found]) for k in (0, 1))
+    unlit = [block_statistics(b, np.ones(b.shape[:2], bool))[1] for b in black]
     return fit_noise(means, variances, np.concatenate(unlit) if unlit else None, smooth=smooth)
 
 

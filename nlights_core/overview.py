@@ -14,11 +14,13 @@ from typing import ClassVar
 import numpy as np
 
 from nlights_core.algorithms import Solution
+from nlights_core.band_threads import in_order
 from nlights_core.block_means import block_means
-from nlights_core.development import Darkroom, Raw
+from nlights_core.development import BAND_BYTES, Darkroom, Raw, bands
 from nlights_core.errors import TileError
 from nlights_core.fields import LightField
 from nlights_core.frames import Array, PixelGrid
+from nlights_core.kernels import TASK
 from nlights_core.least_squares import UsableLights
 from nlights_core.levelling import Level, level
 from nlights_core.noise import Noise
@@ -141,8 +143,7 @@ def overview(
     found = Level(0.0, None, np.ones(len(lights.lamps)))
     for _ in range(passes):
         lamps = lights.stronger(found.strengths)
-        parts = [solved(_Solver(), band) for band in room.bands(lamps, plate, height)]
-        normals = np.concatenate([part.normals for part in parts])
+        normals = _normals(room, lamps, plate, height)
         if not np.isfinite(normals).any():
             raise TileError(
                 "overview: not a single block has three usable lights; see the mask, the saturation level and "
@@ -154,6 +155,18 @@ def overview(
             height = height + np.float32(found.offset)
     assert height is not None
     return height, found
+
+
+def _normals(room: ReducedRoom, lights: LightField, plate: Plate | None, height: Array | None) -> Array:
+    """Normals of all blocks, (h, w, 3) float32."""
+
+    def of_rows(rows: tuple[int, int]) -> Array:
+        raw = room.raw(*rows, lights)
+        below = None if height is None else height[slice(*rows)]
+        return solved(_Solver(), room.develop(raw, lights, plate, below)).normals
+
+    # Each core takes as much as a kernel works on at once.
+    return np.concatenate(list(in_order(of_rows, bands(room.grid, BAND_BYTES // TASK))))
 
 
 class Enlarged:

@@ -130,11 +130,12 @@ def hatch(colours: Array, known: Array) -> Array:
     (h, w, 3) uint8 array
         Or a multiple of that size.
     """
+    from nlights_core import compiled_maps
+
     times = max(1, 600 // max(known.shape))
-    colours, known = (a.repeat(times, axis=0).repeat(times, axis=1) for a in (colours, known))
-    diagonal = np.add.outer(np.arange(known.shape[0]), np.arange(known.shape[1]))
-    stripes = np.where(diagonal // 5 % 2, 196, 164).astype(np.uint8)
-    return np.where(known[..., None], colours, stripes[..., None])
+    out = np.empty((known.shape[0] * times, known.shape[1] * times, 3), np.uint8)
+    compiled_maps.hatched(np.ascontiguousarray(colours), known, times, out)
+    return out
 
 
 def robust_range(values: Array, *, symmetric: bool = False, from_zero: bool = False) -> tuple[float, float]:
@@ -157,7 +158,7 @@ def robust_range(values: Array, *, symmetric: bool = False, from_zero: bool = Fa
     known = values[np.isfinite(values)]
     low, high = 0.0, 1.0
     if known.size:
-        low, high = float(np.percentile(known, 0.5)), float(np.percentile(known, 99.5))
+        low, high = (float(end) for end in np.percentile(known, [0.5, 99.5]))
     if symmetric:
         high = max(abs(low), abs(high))
         low = -high
@@ -214,11 +215,14 @@ def coloured(
     """
     from matplotlib import colormaps
 
+    from nlights_core import compiled_maps
+
     low, high = ends
     table = (colormaps[colours](np.arange(256))[:, :3] * 255 + 0.5).astype(np.uint8)
-    known = np.isfinite(values)
-    level = np.where(known, (np.clip(values, low, high) - low) / (high - low), 0)
-    picture = hatch(table[(level * 255 + 0.5).astype(np.uint8)], known)
+    places = np.empty(values.shape, np.uint8)
+    kind = values.dtype.type if values.dtype.kind == "f" else np.float64
+    compiled_maps.levels(values, kind(low), kind(high), kind(high - low), places)
+    picture = hatch(table[places], np.isfinite(values))
     strip = encode(np.broadcast_to(table, (1, 256, 3)), lossless=True)
     return encode(picture), ColourBar(label, strip, edge_ticks(low * scale, high * scale))
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from nlights_core.arrays import write_array
+from nlights_core.band_threads import in_order
 from nlights_core.errors import TileError
 from nlights_core.fields import LightField
 from nlights_core.frames import Array, PixelGrid
@@ -173,12 +174,12 @@ def vignetting(
         ray = (position[:, None, None] - points)[:, known]
         distance = np.linalg.norm(ray, axis=0)
         # The beam's own axis is taken through the centre of the field.
-        along = position @ ray / np.linalg.norm(position)
+        along = np.einsum("k,kn->n", position, ray) / np.linalg.norm(position)
         beam = np.stack([np.ones_like(along), np.log(along / distance), ray[0] / along, ray[1] / along])
         rest = np.log(seen[known]) - np.log(ray[2] / distance**3)
-        basis = np.linalg.qr(beam.T)[0]
-        lens = natural[known] - basis @ (natural[known] @ basis)
-        size[i], share[i] = lens @ lens, lens @ rest
+        along_beam = np.linalg.solve(_products(beam), np.einsum("kn,n->k", beam, natural[known]))
+        lens = natural[known] - np.einsum("k,kn->n", along_beam, beam)
+        size[i], share[i] = np.sum(lens * lens), np.sum(lens * rest)
     found = share.sum() / size.sum()
     count = len(size)
     scatter = np.sum((share - size * found) ** 2) / size.sum() ** 2 * count / max(count - 1, 1)
@@ -215,7 +216,9 @@ def continued(reading: Array, x: Array, y: Array, step: float) -> Plate:
     out = np.empty((count, len(wide_y), len(wide_x), channels), np.float32)
     inner = _cubic(x / (step * len(x)), y / (step * len(x)))
     wide = _cubic(wide_x / (step * len(x)), wide_y / (step * len(x)))
-    for i in range(count):
+    whole = _products(inner)
+
+    def of_lamp(i: int) -> None:
         for c in range(channels):
             known = np.isfinite(reading[i, ..., c]) & (reading[i, ..., c] > 0)
             if known.mean() < 0.5:
@@ -224,13 +227,18 @@ def continued(reading: Array, x: Array, y: Array, step: float) -> Plate:
                     "(the rest is saturated or black); photograph the flat reference again"
                 )
             values = np.log(np.where(known, reading[i, ..., c], 1.0).astype(np.float64))
-            normal = inner[known].T @ inner[known]
-            fit = np.linalg.solve(normal, inner[known].T @ values[known])
-            missed = np.where(known, values - inner @ fit, np.nan)
-            if not known.all():
+            some = inner if known.all() else inner[:, known.ravel()]
+            normal = whole if some is inner else _products(some)
+            fit = np.linalg.solve(normal, np.einsum("kn,n->k", some, values[known]))
+            missed = np.where(known, values - np.einsum("k,kn->n", fit, inner).reshape(values.shape), np.nan)
+            if some is not inner:
                 nearest = distance_transform_edt(~known, return_distances=False, return_indices=True)
                 missed = missed[tuple(nearest)]
-            out[i, ..., c] = wide @ fit + np.pad(missed, margin, mode="edge")
+            out[i, ..., c] = np.einsum("k,kn->n", fit, wide).reshape(out.shape[1:3]) + np.pad(
+                missed, margin, mode="edge"
+            )
+
+    list(in_order(of_lamp, range(count)))
     return Plate(out, float(wide_x[0]), float(wide_y[0]), step)
 
 
@@ -251,5 +259,11 @@ def read_plate(folder: Path) -> Plate:
 
 
 def _cubic(x: Array, y: Array) -> Array:
-    """All monomials of total degree up to 3, (h, w, 10) float64."""
-    return np.stack([np.outer(y**b, x**a) for a in range(4) for b in range(4 - a)], axis=-1)
+    """All monomials of total degree up to 3, (10, h w) float64."""
+    return np.stack([np.outer(y**b, x**a).ravel() for a in range(4) for b in range(4 - a)])
+
+
+def _products(terms: Array) -> Array:
+    """Sums of the products of terms (K, N) with each other, (K, K)."""
+    # No matrix product: it shares small work out to all cores, and waits long for busy ones.
+    return np.asarray(np.einsum("kn,mn->km", terms, terms))

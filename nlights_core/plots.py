@@ -19,11 +19,14 @@ INK, QUIET, ACCENT, SECOND = "#25221e", "#6b655c", "#8a2f1d", "#1f5673"
 
 
 def _figure(width: float, height: float) -> Figure:
-    """A Matplotlib figure on the raster canvas, outside pyplot's global state; inches at 160 dpi."""
+    """A Matplotlib figure on the raster canvas, outside pyplot's global state; inches at 160 dpi.
+
+    Its margins are given, not found: to find them a figure is drawn once more.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure((width, height), dpi=160, facecolor="white", layout="constrained")
+    figure = Figure((width, height), dpi=160, facecolor="white")
     FigureCanvasAgg(figure)
     return figure
 
@@ -64,6 +67,7 @@ def profiles(height: Array, grid: PixelGrid, scale: float, unit: str) -> str:
         Data URI.
     """
     figure = _figure(7.5, 5.4)
+    figure.subplots_adjust(left=0.115, right=0.985, bottom=0.095, top=0.95, hspace=0.44)
     lines = (
         ("A \N{EN DASH} A\u2032  along x, left to right", grid.x(), height[grid.rows // 2], ACCENT),
         ("B \N{EN DASH} B\u2032  along y, bottom to top", grid.y(), height[:, grid.columns // 2], SECOND),
@@ -83,18 +87,14 @@ def profiles(height: Array, grid: PixelGrid, scale: float, unit: str) -> str:
 
 def light_geometry(lights: Mapping[str, Any], grid: PixelGrid) -> str:
     """The picture that `draw_lights` draws, as a data URI."""
-    figure = _figure(6.4, 5.6)
-    draw_lights(figure, lights, grid)
-    return _finish(figure)
+    return _finish(draw_lights(lights, grid)[0])
 
 
-def draw_lights(figure: Figure, lights: Mapping[str, Any], grid: PixelGrid) -> Axes:
+def draw_lights(lights: Mapping[str, Any], grid: PixelGrid) -> tuple[Figure, Axes]:
     """Top view of the lamps around the field, as the light field's record states them.
 
     Parameters
     ----------
-    figure : Figure
-        Where it is drawn; empty.
     lights : mapping
         `LightField.record`: "lamps" and either "positions" (near) or "directions" (distant).
     grid : PixelGrid
@@ -102,11 +102,14 @@ def draw_lights(figure: Figure, lights: Mapping[str, Any], grid: PixelGrid) -> A
 
     Returns
     -------
+    Figure
     Axes
         With the lamps' names as its texts.
     """
     from matplotlib.patches import Circle, Rectangle
 
+    figure = _figure(6.4, 5.6)
+    figure.subplots_adjust(left=0.135, right=0.985, bottom=0.09, top=0.985)
     axes = figure.add_subplot()
     near = lights.get("positions") is not None
     places = np.array(lights["positions"] if near else lights["directions"], float)
@@ -134,7 +137,7 @@ def draw_lights(figure: Figure, lights: Mapping[str, Any], grid: PixelGrid) -> A
     across = max(1.5 * np.abs(places[:, 0]).max(), 1.4 * np.abs(places[:, 1]).max(), reach)
     axes.set(xlim=(-across, across), ylim=(-0.85 * across, 0.85 * across), aspect="equal")
     _plain(axes)
-    return axes
+    return figure, axes
 
 
 def _label_lamps(axes: Axes, names: Sequence[str], places: Array, notes: Sequence[str]) -> None:

@@ -21,7 +21,7 @@ from nlights_core.emission import read_flat_check
 from nlights_core.errors import TileError
 from nlights_core.export import Compression
 from nlights_core.fields import LightField
-from nlights_core.figures import NOT_IN_RECIPE, NOT_MEASURED
+from nlights_core.figures import NOT_IN_RECIPE, NOT_MEASURED, Number
 from nlights_core.flat_quality import of_flat_levels
 from nlights_core.frames import Array, PixelGrid
 from nlights_core.integrability import integrable_normals, integrable_uncertainty
@@ -138,6 +138,7 @@ def write_maps(
             _normals(maps["normals"], grid, integrated, perspective, places, view),
             (*grid.shape, 3),
             description=f"Unit normals x, y, z; {FRAME}",
+            read_soon=True,
         )
     progress(0.4)
     tiff(
@@ -146,6 +147,7 @@ def write_maps(
         grid.shape,
         description="Standard uncertainty of the normal, degrees: 68 % of all normals are off by no more; NaN "
         "where not known",
+        read_soon=True,
     )
     for name in COLOURS:
         _pass_on(coloured / f"{name}.tif", folder / f"{name}.tif", grid, compression)
@@ -241,6 +243,7 @@ def write_report(
     grid: PixelGrid,
 ) -> None:
     """Write ``report.html``, ``quality.json`` and ``provenance.json``."""
+    from nlights_core.report import draw
     from nlights_core.report import write_report as write_html
 
     made = {name: store.path(ref) for name, ref in refs.items() if ref is not None}
@@ -255,26 +258,36 @@ def write_report(
         maps["plate"] = read_plate(made["plate"]).inside(grid)
     if "bias" in made:
         maps["bias"] = read_array(made["bias"] / "bias.npy")
-    numbers = quality.measure(maps, grid, tile.lamps)
-    numbers += quality.of_agreement(read_agreement(store.path(normals)), tile.lamps)
-    lights = json.loads((made["lights"] / "lights.json").read_text())
     white = white_reflectance(store, normals)
-    uncertainty = tile.stand.uncertainty_mm if tile.stand else None
-    field = LightField.from_record(lights)
-    wrong = uncertainty and position_uncertainty(
-        maps["normals"], grid, field, uncertainty, photographed=white is not None
-    )
-    numbers += quality.of_positions(wrong or None, uncertainty)
-    check = read_flat_check(made["plate"]) if "plate" in made else None
-    absent = NOT_MEASURED if white is not None else NOT_IN_RECIPE
-    numbers += quality.of_flat(check, tile.stand.name if tile.stand else None, absent)
-    flat = made["plate"] if white is not None else None
-    numbers += of_flat_levels(
-        maps["plate"] if flat else None, field.power, read_noise(flat) if flat else None, tile.lamps, absent
-    )
-    if height.stage == "level":
-        numbers += quality.of_level(read_level(store.path(height)))
-    numbers = quality.grouped(numbers)
+    files = [*made["maps"].iterdir(), *made["mesh"].iterdir()]
+    said = {
+        "artwork": tile.artwork,
+        "title": tile.title,
+        "tile": tile.name,
+        "origin_mm": list(tile.origin_mm),
+        "stand": tile.stand.name if tile.stand else None,
+        "uncertainty_mm": tile.stand.uncertainty_mm if tile.stand else None,
+        "white": white,
+        "recipe": record["facts"]["recipe"],
+        "lamps": list(tile.lamps),
+        "lights": json.loads((made["lights"] / "lights.json").read_text()),
+        "mesh": json.loads((made["mesh"] / "mesh.json").read_text()),
+        "version": __version__,
+        "key": record["key"],
+        "files": [
+            {"name": path.name, "bytes": path.stat().st_size, "what": WHAT[path.name]}
+            for path in sorted(files)
+            if path.name in WHAT
+        ],
+    }
+    # Drawing keeps mostly Python busy and measuring mostly compiled loops, so they go on together.
+    with ThreadPoolExecutor(1) as beside:
+        drawing = beside.submit(draw, said, maps, grid)
+        numbers = _numbers(maps, grid, tile, made, said["lights"], white)
+        if height.stage == "level":
+            numbers += quality.of_level(read_level(store.path(height)))
+        numbers = quality.grouped(numbers)
+        write_html(folder / "report.html", said, drawing.result(), numbers)
     provenance = {
         "nlights": __version__,
         "artwork": tile.artwork,
@@ -287,35 +300,34 @@ def write_report(
         "photographs": {lamp: path.name for lamp, path in tile.frames.items()},
         "stages": _lineage(store, refs),
     }
-    files = [*made["maps"].iterdir(), *made["mesh"].iterdir()]
-    write_html(
-        folder / "report.html",
-        {
-            "artwork": tile.artwork,
-            "title": tile.title,
-            "tile": tile.name,
-            "origin_mm": list(tile.origin_mm),
-            "stand": tile.stand.name if tile.stand else None,
-            "uncertainty_mm": uncertainty,
-            "white": white,
-            "recipe": record["facts"]["recipe"],
-            "lamps": list(tile.lamps),
-            "lights": lights,
-            "mesh": json.loads((made["mesh"] / "mesh.json").read_text()),
-            "version": __version__,
-            "key": record["key"],
-            "files": [
-                {"name": path.name, "bytes": path.stat().st_size, "what": WHAT[path.name]}
-                for path in sorted(files)
-                if path.name in WHAT
-            ],
-        },
-        maps,
-        grid,
-        numbers,
-    )
     _write_json(folder / "quality.json", [asdict(number) for number in numbers])
     _write_json(folder / "provenance.json", provenance)
+
+
+def _numbers(
+    maps: Mapping[str, Array],
+    grid: PixelGrid,
+    tile: Tile,
+    made: Mapping[str, Path],
+    lights: dict[str, Any],
+    white: float | None,
+) -> list[Number]:
+    """The numbers of the report, but for those of the level."""
+    stand, uncertainty = tile.stand, tile.stand.uncertainty_mm if tile.stand else None
+    field = LightField.from_record(lights)
+    numbers = quality.measure(maps, grid, tile.lamps)
+    numbers += quality.of_agreement(read_agreement(made["normals"]), tile.lamps)
+    wrong = uncertainty and position_uncertainty(
+        maps["normals"], grid, field, uncertainty, photographed=white is not None
+    )
+    numbers += quality.of_positions(wrong or None, uncertainty)
+    check = read_flat_check(made["plate"]) if "plate" in made else None
+    absent = NOT_MEASURED if white is not None else NOT_IN_RECIPE
+    numbers += quality.of_flat(check, stand.name if stand else None, absent)
+    flat = made["plate"] if white is not None else None
+    return numbers + of_flat_levels(
+        maps["plate"] if flat else None, field.power, read_noise(flat) if flat else None, tile.lamps, absent
+    )
 
 
 def _lineage(store: Store, refs: Mapping[str, ArtefactRef | None]) -> list[dict[str, Any]]:

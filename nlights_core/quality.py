@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from nlights_core.figures import NOT_IN_RECIPE, NOT_MEASURED, Number
 from nlights_core.frames import Array, PixelGrid
 from nlights_core.map_statistics import (
-    best_plane,
     bias_angle,
+    counts,
     extremes,
+    inclination,
     mean_of,
     misclosure,
+    relief,
     sampled,
     unevenness,
 )
@@ -26,22 +28,16 @@ if TYPE_CHECKING:
     from nlights_core.position_uncertainty import PositionUncertainty
 
 
-def _surface(maps: Mapping[str, Array], grid: PixelGrid) -> list[Number]:
-    """Numbers of the relief."""
-    group, unit = "Surface", grid.unit
-    height, normals = maps.get("height"), maps.get("normals")
-    spread = rms = tilt = slope = None
+def _surface(maps: Mapping[str, Array], grid: PixelGrid, slope: float | None) -> list[Number]:
+    """Numbers of the relief, of which the mean slope is given."""
+    group, unit, height = "Surface", grid.unit, maps.get("height")
+    spread = rms = tilt = None
     if height is not None and (values := sampled(height)).size:
-        low, high = np.percentile(values, [0.1, 99.9])
+        low, level, high = np.percentile(values, [0.1, 50, 99.9])
         spread = float(high - low)
-        level = float(np.median(values))
-        mean = mean_of(height, lambda z: z - level) or 0.0
-        square = mean_of(height, lambda z: (np.asarray(z, np.float64) - level - mean) ** 2) or 0.0
-        rms = float(np.sqrt(square))
-        plane = best_plane(height, grid)
-        tilt = None if plane is None else float(np.degrees(np.arctan(np.hypot(plane[0], plane[1]))))
-    if normals is not None:
-        slope = mean_of(normals, lambda n: np.degrees(np.arctan2(np.hypot(n[..., 0], n[..., 1]), n[..., 2])))
+        if found := relief(height, grid, float(level)):
+            rms = found.rms
+            tilt = found.plane and float(np.degrees(np.arctan(np.hypot(*found.plane[:2]))))
     return [
         Number(
             group,
@@ -119,49 +115,46 @@ def _fit(maps: Mapping[str, Array], grid: PixelGrid) -> list[Number]:
     ]
 
 
-def _share(array: Array | None, of: Callable[[Array], Any]) -> float | None:
-    """Percentage of pixels for which something holds."""
-    if array is None:
-        return None
-    share = mean_of(array, of)
-    return None if share is None else 100 * share
+def _share(array: Array | None) -> float | None:
+    """Percentage of the pixels whose count is not 0."""
+    found = None if array is None else counts(array)
+    return None if found is None else 100 * found[1]
 
 
-def _lights(maps: Mapping[str, Array]) -> list[Number]:
-    """Numbers of coverage and of how many lights served."""
-    group = "Light"
-    used, normals = maps.get("used"), maps.get("normals")
+def _lights(maps: Mapping[str, Array], known: float | None) -> list[Number]:
+    """Numbers of coverage, of which the known share is given, and of how many lights served."""
+    group, used = "Light", maps.get("used")
     stacks = [len(maps[name]) for name in ("plate", "frames") if name in maps]
     lamps = stacks[0] if stacks else int(used.max()) if used is not None and used.size else 0
-    known = _share(normals, lambda n: np.isfinite(n[..., 0] + n[..., 1] + n[..., 2]))
-    every = _share(used, lambda u: u >= lamps) if lamps else None
+    served = None if used is None else counts(used, lamps)
+    mean, every = served or (None, None)
     return [
         Number(group, "Known share", known, "% of pixels", "Where the surface could be measured at all."),
         Number(
             group,
             "Lights used, mean",
-            None if used is None else mean_of(used),
+            mean,
             "lights",
             "How many lamps served at a pixel on average; three are the least.",
         ),
         Number(
             group,
             f"Pixels with all {lamps} lights" if lamps else "Pixels with all lights",
-            every,
+            100 * every if every is not None and lamps else None,
             "% of pixels",
             "Where no photograph had to be left out.",
         ),
         Number(
             group,
             "Saturated",
-            _share(maps.get("saturated"), lambda s: s > 0),
+            _share(maps.get("saturated")),
             "% of pixels",
             "Where at least one photograph is overexposed and was left out.",
         ),
         Number(
             group,
             "In shadow",
-            _share(maps.get("shadow"), lambda s: s > 0),
+            _share(maps.get("shadow")),
             "% of pixels",
             "Where at least one lamp casts a shadow.",
         ),
@@ -245,7 +238,16 @@ def measure(maps: Mapping[str, Array], grid: PixelGrid, lamps: Sequence[str] = (
         The same quantities whatever is there (the uneven light once per lamp); the value is None
         where it could not be measured, and `Number.missing` says why.
     """
-    return [*_lights(maps), *_fit(maps, grid), *_surface(maps, grid), *_removed(maps, grid, lamps)]
+    known = slope = None
+    if "normals" in maps:
+        share, slope = inclination(maps["normals"])
+        known = 100 * share
+    return [
+        *_lights(maps, known),
+        *_fit(maps, grid),
+        *_surface(maps, grid, slope),
+        *_removed(maps, grid, lamps),
+    ]
 
 
 MOST_DRIFT = 2.0

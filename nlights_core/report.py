@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from itertools import groupby
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from nlights_core.chapters import Views, chapters
+from nlights_core.chapters import Chapter, Views, chapters
 from nlights_core.figures import Number, figure_of
 from nlights_core.frames import Array, PixelGrid
 
@@ -60,12 +60,37 @@ def _bytes(count: int) -> str:
     return f"{count} bytes"
 
 
+class Drawing(NamedTuple):
+    """The pictures of a report, and the scale that they are drawn to."""
+
+    views: Views
+    chapters: list[Chapter]
+
+
+def draw(record: Mapping[str, Any], maps: Mapping[str, Array], grid: PixelGrid) -> Drawing:
+    """Draw the pictures of a tile's report.
+
+    Parameters
+    ----------
+    record : mapping
+        As `write_report` takes it.
+    maps : mapping of str to array
+        What is there of "albedo" (H, W, C), "normals" (H, W, 3), "height", "confidence", "residual"
+        (H, W), "used" (H, W) integers, "reflection" (H, W, C), "plate" (L, h, w, C), "trend" (H, W),
+        "bias" (H, W, 3) and "frames" (L, h, w[, C]).  NaN where not known.
+    grid : PixelGrid
+        Where the pixels are; its unit is that of every length.
+
+    Notes
+    -----
+    The pictures are means over blocks of pixels, at most `pictures.LONGEST` pixels long.
+    """
+    views = Views(maps, grid)
+    return Drawing(views, chapters(views, record))
+
+
 def write_report(
-    path: str | Path,
-    record: Mapping[str, Any],
-    maps: Mapping[str, Array],
-    grid: PixelGrid,
-    numbers: Sequence[Number],
+    path: str | Path, record: Mapping[str, Any], drawing: Drawing, numbers: Sequence[Number]
 ) -> None:
     """Write the report of a tile: one HTML file that needs nothing else, neither network nor script.
 
@@ -79,12 +104,8 @@ def write_report(
         that makes the albedo absolute; None: relative), "recipe" (nested mapping), "lamps" (names),
         "lights" (`LightField.record`), "version", "files" (each "name", "bytes", "what"), "mesh"
         ("glb": what `meshes.write_glb` returned) and "key".
-    maps : mapping of str to array
-        What is there of "albedo" (H, W, C), "normals" (H, W, 3), "height", "confidence", "residual"
-        (H, W), "used" (H, W) integers, "reflection" (H, W, C), "plate" (L, h, w, C), "trend" (H, W),
-        "bias" (H, W, 3) and "frames" (L, h, w[, C]).  NaN where not known.
-    grid : PixelGrid
-        Where the pixels are; its unit is that of every length.
+    drawing : Drawing
+        Of the same record.
     numbers : sequence of Number
         What `nlights_core.quality.measure` found.
 
@@ -95,8 +116,7 @@ def write_report(
 
     Notes
     -----
-    The pictures are means over blocks of pixels, at most `pictures.LONGEST` pixels long.  The same
-    input gives the same bytes.
+    The same input gives the same bytes.
     """
     import jinja2
     import yaml
@@ -108,7 +128,7 @@ def write_report(
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    views = Views(maps, grid)
+    views, grid = drawing.views, drawing.views.grid
     rows = [(number, *_shown(number, views)) for number in numbers]
     groups = [(name, list(group)) for name, group in groupby(rows, key=lambda row: row[0].group)]
     recipe = record.get("recipe")
@@ -118,7 +138,7 @@ def write_report(
         record={"artwork": "", "tile": "", "version": "", "key": "", "files": (), **record},
         uncertainty=_length(record["uncertainty_mm"]) if record.get("uncertainty_mm") else "",
         facts=_facts(record, grid),
-        chapters=chapters(views, record),
+        chapters=drawing.chapters,
         groups=groups,
         warnings=[number.warning for number in numbers if number.warning],
         lamps=_lamp_rows(record.get("lights") or {}),

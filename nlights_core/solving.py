@@ -124,13 +124,7 @@ def _coloured(path: Path, room: Darkroom, white: float | None) -> BandTiff:
     shape = (*room.grid.shape, 3) if room.info.channels == 3 else room.grid.shape
     what = COLOURS[path.stem].format(said)
     return BandTiff(
-        path,
-        shape,
-        np.float32,
-        grid=room.grid,
-        description=what,
-        icc=room.info.icc,
-        read_soon=path.stem == "albedo",
+        path, shape, np.float32, grid=room.grid, description=what, icc=room.info.icc, read_soon=True
     )
 
 

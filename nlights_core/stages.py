@@ -170,15 +170,21 @@ def plate(store: Store, tile: Tile, detrend: ImageDetrend, lights: ArtefactRef) 
                 flats = means.images / field.power.astype(np.float32)[:, None, None, :]
                 flats[means.saturated] = np.nan
                 write_noise(folder, room.noise)
-        reading = verbs.plate(detrend, flats, field, x, y, info.channels)
-        found = continued(reading, x, y, block * grid.pixel_size)
-        if flats is not None and tile.stand is not None and field.near:
-            check = check_flat(flats, tile.stand, field.lamps, x, y)
-            write_flat_check(folder, check)
-        if flats is not None and grid.camera is not None and field.near:
-            lens = vignetting(reading, field, x, y, grid.camera)
-            found = replace(found, camera=grid.camera, vignetting=lens)
-        write_plate(folder, found)
+
+        def measured() -> None:
+            reading = verbs.plate(detrend, flats, field, x, y, info.channels)
+            found = continued(reading, x, y, block * grid.pixel_size)
+            if flats is not None and grid.camera is not None and field.near:
+                lens = vignetting(reading, field, x, y, grid.camera)
+                found = replace(found, camera=grid.camera, vignetting=lens)
+            write_plate(folder, found)
+
+        def checked() -> None:
+            if flats is not None and tile.stand is not None and field.near:
+                write_flat_check(folder, check_flat(flats, tile.stand, field.lamps, x, y))
+
+        for _ in in_order(lambda work: work(), (measured, checked)):
+            pass
 
     return Work(ref, record, make)
 
@@ -336,9 +342,13 @@ def level(
                 assumed = read_level(store.path(overview)).strengths
                 found = levelling.level(room, field, flat, before, assumed)
         write_level(folder, found)
+
+        def raised(rows: tuple[int, int]) -> Array:
+            return np.asarray(before[slice(*rows)] + np.float32(found.offset))
+
         with BandWriter(folder / "height.npy", before.shape) as file:
-            for start, stop in bands(grid, 12):
-                file.write(before[start:stop] + np.float32(found.offset))
+            for rows in in_order(raised, bands(grid, 48)):
+                file.write(rows)
 
     return Work(ref, record, make)
 

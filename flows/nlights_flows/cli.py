@@ -5,13 +5,13 @@ from __future__ import annotations
 import os
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from nlights_core import __version__
 from nlights_core.errors import NlightsError
-from nlights_flows import compare_command, nightly_command, plugin_commands
+from nlights_flows import compare_command, nightly_command, plugin_commands, tolerance_command
 from nlights_flows.options import (
     Address,
     Artwork,
@@ -29,7 +29,12 @@ from nlights_flows.options import (
     Timeout,
 )
 
+if TYPE_CHECKING:
+    from nlights_flows.running import Outcome
+
 INTERRUPTED = 130
+UNREAD = 141
+"""What a shell calls a command whose reader went away (128 + SIGPIPE)."""
 
 
 app = typer.Typer(
@@ -154,9 +159,9 @@ def plan(
     Runs nothing.  A stage is made anew when its algorithm, an option, its code or anything
     before it differs.
     """
-    from nlights_flows import console, planning
+    from nlights_flows import console, planning, preparing
 
-    chosen, tiles, kept = _prepared(artwork, recipe, out, store, stand, root, tile)
+    chosen, tiles, kept = preparing.prepared(artwork, recipe, out, store, stand, root, tile)
     failed = 0
     for one in tiles:
         try:
@@ -190,20 +195,16 @@ def digitise(
     done again; a fault of one tile costs that tile only.
     """
     from nlights_core.store import make_writable
-    from nlights_flows import console, dask_runner, environment
+    from nlights_flows import console, dask_runner, environment, preparing
+    from nlights_flows.running import exit_code, run_directly
 
     dask_runner.checked(runner, address)
-    if memory is not None:
-        _allow(memory)
-    chosen, tiles, kept = _prepared(artwork, recipe, out, store, stand, root, tile)
+    preparing.allow_memory(memory)
+    chosen, tiles, kept = preparing.prepared(artwork, recipe, out, store, stand, root, tile)
     make_writable(out, "--out")
     kept.prepare()
     if prefect or environment.api_configured():
-        environment.prepare()
-        from nlights_flows.digitise import digitise as flow
-        from nlights_flows.running import exit_code
-
-        state: Any = flow(
+        outcomes = _run_flow(
             artwork=str(artwork),
             recipe=recipe,
             out=str(out),
@@ -215,19 +216,10 @@ def digitise(
             timeout=timeout,
             runner=runner,
             address=address,
-            return_state=True,
         )
-        outcomes = state.data if isinstance(state.data, list) else state.result(raise_on_failure=False)
-        if isinstance(outcomes, BaseException):
-            raise outcomes
     elif runner != "here":
-        from nlights_flows.dask_runner import run_everywhere
-        from nlights_flows.running import exit_code
-
-        outcomes = run_everywhere(tiles, chosen, kept, out, address, compression.value, timeout)
+        outcomes = dask_runner.run_everywhere(tiles, chosen, kept, out, address, compression.value, timeout)
     else:
-        from nlights_flows.running import exit_code, run_directly
-
         outcomes = []
         with console.TileProgress(chosen, tiles) as watch:
             for one in tiles:
@@ -237,14 +229,18 @@ def digitise(
     raise typer.Exit(exit_code(outcomes))
 
 
-def _allow(memory: str) -> None:
-    """Set the memory budget of this process and of those it starts."""
-    from nlights_core.memory import VARIABLE, parse_size
+def _run_flow(**parameters: Any) -> list[Outcome]:
+    """Digitise as a Prefect flow."""
+    from nlights_flows import environment
 
-    try:
-        os.environ[VARIABLE] = str(parse_size(memory))
-    except ValueError as fault:
-        raise typer.BadParameter(str(fault), param_hint="--memory") from None
+    environment.prepare()
+    from nlights_flows.digitise import digitise as flow
+
+    state: Any = flow(**parameters, return_state=True)
+    outcomes = state.data if isinstance(state.data, list) else state.result(raise_on_failure=False)
+    if isinstance(outcomes, BaseException):
+        raise outcomes
+    return outcomes
 
 
 @app.command()
@@ -283,132 +279,58 @@ def evaluate(
     write_whole(folder / "evaluation.json", json.dumps(result, indent=1) + "\n")
 
 
-@app.command()
-def tolerance(
-    stand: Annotated[
-        str, typer.Argument(metavar="STAND", help="A shipped stand or a file: it takes the photographs.")
-    ],
-    axis: Annotated[
-        str | None,
-        typer.Option(metavar="AXIS", help="x, y, z, -x, -y or -z: all lamps moved alike; z by default."),
-    ] = None,
-    errors: Annotated[
-        str | None,
-        typer.Option(metavar="SIZES", help="0.1..100 (10 sizes), 0.1..100:13 or 0.5,1,5; mm."),
-    ] = None,
-    random: Annotated[
-        bool, typer.Option("--random", help="Move every lamp by chance, along all axes, instead.")
-    ] = False,
-    strength: Annotated[
-        str | None,
-        typer.Option(metavar="SIZES", help="Change the lamps' strengths instead: 0.01 is 1 %."),
-    ] = None,
-    against: Annotated[
-        str | None,
-        typer.Option(metavar="NAME_OR_FILE", help="Solve with this stand's lamps and camera instead."),
-    ] = None,
-    draws: Annotated[int, typer.Option(metavar="N", min=1, max=1000, help="How often chance is asked.")] = 10,
-    scene: Annotated[
-        str, typer.Option(metavar="SCENE", help="plane, drawing, painting or relief.")
-    ] = "plane",
-    width: Annotated[
-        int, typer.Option(metavar="N", min=32, max=4000, help="Width of the photographs, px.")
-    ] = 240,
-    seed: Annotated[int, typer.Option(metavar="N", min=0, help="Another seed, other noise and draws.")] = 1,
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where the plots go.")] = Path(
-        "tolerance"
-    ),
-) -> None:
-    """Find out how wrong the measurement of a stand may be: the paper's Figure 2.
-
-    Simulated photographs are solved with lamps that are moved by an error, without and with the
-    flat field.  Writes `tolerance.csv`, `tolerance.png` and `tolerance.svg` into DIR, and prints
-    up to which error normals keep within 0.5 degrees and the mesh within 1 mm.
-    """
-    from nlights_core.recipe import load_recipe
-    from nlights_core.store import make_writable
-    from nlights_core.testing.scenes import SCENES
-    from nlights_flows import console, stand_errors, tolerance_plots
-    from nlights_flows.tolerance import study
-
-    if scene not in SCENES:
-        raise NlightsError(f"--scene: there is no scene '{scene}'; choose one of {', '.join(SCENES)}")
-    sweep = stand_errors.chosen(stand, axis, errors, random, strength, against, draws, seed)
-    make_writable(out, "--out")
-    with console.progress_bar("solving with wrong lamps") as progress:
-        found = study(
-            stand, sweep, load_recipe("default"), scene=scene, width=width, seed=seed, progress=progress
-        )
-    for line in (*tolerance_plots.table(found), "", *tolerance_plots.verdict(found), "", *found.notes):
-        print(line)
-    for path in tolerance_plots.write(found, out):
-        print(path)
-
-
-def _prepared(
-    artwork: Path,
-    recipe: str,
-    out: Path,
-    store: Path | None,
-    stand: str | None,
-    root: Path | None,
-    names: list[str] | None,
-) -> tuple[Any, list[Any], Any]:
-    """Read recipe, stand and manifest; any fault of theirs stops before anything is written."""
-    from nlights_core.errors import CaptureError
-    from nlights_core.manifest import load_capture
-    from nlights_core.recipe import load_recipe
-    from nlights_core.store import Store
-
-    chosen = load_recipe(recipe)
-    tiles = load_capture(artwork, stand=stand, root=root)
-    unknown = [name for name in names or () if name not in {tile.name for tile in tiles}]
-    if unknown:
-        raise CaptureError(
-            f"--tile: {artwork} has no tile '{unknown[0]}'; it has {', '.join(t.name for t in tiles)}"
-        )
-    chosen_tiles = [tile for tile in tiles if not names or tile.name in names]
-    lacking = [chosen.lacking(tile) for tile in chosen_tiles]
-    if all(lacking):
-        raise CaptureError("\n".join(f"{artwork}: {sentence}" for sentence in lacking[0]))
-    return chosen, chosen_tiles, Store(store or out / ".store")
-
-
 compare_command.register(app)
 nightly_command.register(app)
 plugin_commands.register(app)
+tolerance_command.register(app)
 
 
 def main() -> None:
+    """Run the command line; a reader who goes away ends it without a word."""
+    try:
+        code = _run()
+        sys.stdout.flush()
+    except BrokenPipeError:
+        code = _unread()
+    except SystemExit as fault:
+        # Typer and rich end the process themselves where a pipe is broken, with a 1 that means something else.
+        if not isinstance(fault.__context__, BrokenPipeError):
+            raise
+        code = _unread()
+    sys.exit(code)
+
+
+def _run() -> int:
     """Run the command line; explain what is the user's to mend, without a traceback."""
     try:
-        code = app(standalone_mode=False)
-        if code == INTERRUPTED:  # Typer has swallowed the interrupt
-            _stopped()
-        sys.stdout.flush()
-    except typer.Abort:
-        code = _stopped()
+        code: int = app(standalone_mode=False)
+        return _stopped() if code == INTERRUPTED else code  # Typer has swallowed the interrupt
+    except (typer.Abort, KeyboardInterrupt):
+        return _stopped()
     except NlightsError as fault:
         print(fault, file=sys.stderr)
-        code = 2
+        return 2
     except BrokenPipeError:
-        # Whoever read the output has seen enough; Python must not complain while it ends.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        code = 141
+        raise
     except OSError as fault:
         print(f"{fault.filename or 'system'}: {fault.strerror or fault}", file=sys.stderr)
-        code = 2
-    except KeyboardInterrupt:
-        code = _stopped()
+        return 2
     except Exception as fault:
         # Typer carries its own copy of click, so its faults are known by what they can do.
         if not hasattr(fault, "show"):
             raise
         fault.show()
-        code = getattr(fault, "exit_code", 2)
-    sys.exit(code)
+        return getattr(fault, "exit_code", 2)
 
 
 def _stopped() -> int:
     print("stopped; what is finished is kept: the same command goes on from there", file=sys.stderr)
     return INTERRUPTED
+
+
+def _unread() -> int:
+    """Whoever read the output has seen enough; Python must not complain while it ends."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    for stream in (1, 2):
+        os.dup2(nowhere, stream)
+    return UNREAD

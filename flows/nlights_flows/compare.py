@@ -1,19 +1,17 @@
 """The Prefect flow `compare`: variants on the same captures, one task per variant, tile and stage."""
 
 # No `from __future__ import annotations` here: Prefect resolves the parameters' types itself.
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from prefect import flow
 from prefect.states import Completed, Failed
 
-from nlights_core.capture import Tile
 from nlights_core.recipe import Recipe
-from nlights_core.store import ArtefactRef
 from nlights_flows.comparison_order import Order, carry_out
 from nlights_flows.comparison_runs import Case, Run, Workshop
-from nlights_flows.digitise import run_stage
+from nlights_flows.digitise import ensure_as_task
 from nlights_flows.environment import outlive_reader
 
 
@@ -27,6 +25,10 @@ def compare(
     store: str | None = None,
     stand: str | None = None,
     root: str | None = None,
+    tiles: list[str] | None = None,
+    compression: str = "none",
+    timeout: float | None = None,
+    memory: str | None = None,
 ) -> Any:
     """Compare variants on the tiles of some captures.
 
@@ -48,6 +50,14 @@ def compare(
         Name or path of a stand, instead of the manifests'.
     root : str, optional
         Capture root; each manifest's folder by default.
+    tiles : list of str, optional
+        Only tiles of these names.
+    compression : str
+        Of the TIFFs among the products, "none" or "zstd".
+    timeout : float, optional
+        Seconds that a stage may take; then it is stopped, and its variant has failed on its tile.
+    memory : str, optional
+        Memory that a tile may take, as 6GiB.
 
     Returns
     -------
@@ -65,6 +75,10 @@ def compare(
         Path(store) if store else None,
         stand,
         Path(root) if root else None,
+        tiles,
+        compression,
+        timeout,
+        memory,
     )
     record = carry_out(order, run_as_tasks)
     failed = [run for run in record["runs"] if run["state"] == "failed"]
@@ -77,11 +91,9 @@ def compare(
 
 def run_as_tasks(workshop: Workshop, recipe: Recipe, cases: Sequence[Case]) -> list[Run]:
     """Run a variant on all tiles, each stage as a task."""
-
-    def ensure(stage: Callable[..., Any], tile: Tile, *arguments: Any) -> tuple[ArtefactRef, bool]:
-        name = f"{recipe.name}: {tile.artwork}/{tile.name} {stage.__name__}"
-        named = run_stage.with_options(name=stage.__name__, task_run_name=name)
-        state = named(stage.__name__, str(workshop.store.root), tile, *arguments, return_state=True)
-        return state.result(), state.name == "Cached"
-
-    return [workshop.run(case, recipe, ensure) for case in cases]
+    return [
+        workshop.run(
+            case, recipe, ensure_as_task(workshop.store, f"{recipe.name}: {case.name}", workshop.timeout)
+        )
+        for case in cases
+    ]

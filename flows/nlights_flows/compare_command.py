@@ -4,12 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer.core import TyperCommand
 
-from nlights_flows.options import Prefect, Root, StandOption, StoreOption
+from nlights_flows.options import (
+    Compression,
+    CompressionOption,
+    Memory,
+    Prefect,
+    Root,
+    StandOption,
+    StoreOption,
+    Tiles,
+    Timeout,
+)
+
+if TYPE_CHECKING:
+    from nlights_flows.comparison_order import Order
 
 SEVERAL = ("--recipes", "--grid")
 """Options that take every word up to the next option."""
@@ -77,6 +90,10 @@ def compare(
     store: StoreOption = None,
     stand: StandOption = None,
     root: Root = None,
+    tile: Tiles = None,
+    compression: CompressionOption = Compression.NONE,
+    memory: Memory = None,
+    timeout: Timeout = None,
     prefect: Prefect = False,
 ) -> None:
     """Compare recipes on the same photographs, with error bars.
@@ -88,30 +105,55 @@ def compare(
     from nlights_flows import environment
     from nlights_flows.comparison_order import Order, carry_out, checked, run_directly
 
-    order = Order(artworks, recipes or [], grid or [], recipe, out, store, stand, root)
+    order = Order(
+        artworks,
+        recipes or [],
+        grid or [],
+        recipe,
+        out,
+        store,
+        stand,
+        root,
+        tile,
+        compression.value,
+        timeout,
+        memory,
+    )
     if prefect or environment.api_configured():
         checked(order)  # a misspelt recipe need not wait for Prefect
-        environment.prepare()
-        from nlights_flows.compare import compare as flow
-
-        state: Any = flow(
-            artworks=[str(path) for path in artworks],
-            recipes=recipes,
-            grid=grid,
-            recipe=recipe,
-            out=str(out),
-            store=str(store) if store else None,
-            stand=stand,
-            root=str(root) if root else None,
-            return_state=True,
-        )
-        record = state.data if isinstance(state.data, dict) else state.result(raise_on_failure=False)
-        if isinstance(record, BaseException):
-            raise record
+        record = _run_flow(order)
     else:
         record = carry_out(order, run_directly)
     show(record, out)
     raise typer.Exit(exit_code(record))
+
+
+def _run_flow(order: Order) -> dict[str, Any]:
+    """Compare as a Prefect flow."""
+    from nlights_flows import environment
+
+    environment.prepare()
+    from nlights_flows.compare import compare as flow
+
+    state: Any = flow(
+        artworks=[str(path) for path in order.artworks],
+        recipes=list(order.recipes),
+        grid=list(order.grid),
+        recipe=order.recipe,
+        out=str(order.out),
+        store=str(order.store) if order.store else None,
+        stand=order.stand,
+        root=str(order.root) if order.root else None,
+        tiles=order.tiles,
+        compression=order.compression,
+        timeout=order.timeout,
+        memory=order.memory,
+        return_state=True,
+    )
+    record = state.data if isinstance(state.data, dict) else state.result(raise_on_failure=False)
+    if isinstance(record, BaseException):
+        raise record
+    return record
 
 
 def show(record: Mapping[str, Any], out: Path) -> None:

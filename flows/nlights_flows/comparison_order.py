@@ -10,17 +10,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from nlights_core.capture import Tile
 from nlights_core.errors import CaptureError, RecipeError
 from nlights_core.recipe import Recipe
-from nlights_core.store import ArtefactRef, Store, Work, make_writable, write_whole
+from nlights_core.store import Store, make_writable, write_whole
 from nlights_flows import console
 from nlights_flows.comparing import compare_runs
 from nlights_flows.comparison_page import write_page
 from nlights_flows.comparison_runs import Case, Run, Workshop, load_cases
 from nlights_flows.comparison_variants import folder_of, variants_of
-
-Stage = Callable[..., Work]
+from nlights_flows.preparing import allow_memory
+from nlights_flows.running import ensure_here
 
 
 @dataclass(frozen=True)
@@ -35,6 +34,10 @@ class Order:
     store: Path | None = None
     stand: str | None = None
     root: Path | None = None
+    tiles: Sequence[str] | None = None
+    compression: str = "none"
+    timeout: float | None = None
+    memory: str | None = None
 
 
 RunAll = Callable[[Workshop, Recipe, Sequence[Case]], list[Run]]
@@ -65,7 +68,7 @@ def carry_out(order: Order, run_all: RunAll) -> dict[str, Any]:
     make_writable(order.out, "--out")
     store = Store(order.store or order.out / ".store")
     store.prepare()
-    workshop = Workshop(store, order.out)
+    workshop = Workshop(store, order.out, order.compression, order.timeout)
     runs = [run for recipe in recipes for run in run_all(workshop, recipe, cases)]
     comparison = compare_runs(recipes, cases, runs, store)
     write_page(order.out / "compare.html", comparison)
@@ -76,13 +79,14 @@ def carry_out(order: Order, run_all: RunAll) -> dict[str, Any]:
 
 
 def checked(order: Order) -> tuple[list[Recipe], list[Case]]:
-    """The variants and tiles of an order; nothing is run or written.
+    """The variants and tiles of an order; sets the memory budget, runs and writes nothing.
 
     Raises
     ------
     RecipeError, CaptureError, StandError
         What the user has to mend.
     """
+    allow_memory(order.memory)
     recipes = variants_of(order.recipes, order.grid, order.recipe)
     folders = Counter(folder_of(recipe).casefold() for recipe in recipes)
     for recipe in recipes:
@@ -91,7 +95,7 @@ def checked(order: Order) -> tuple[list[Recipe], list[Case]]:
                 f"--recipes: '{recipe.name}' would share its folder '{folder_of(recipe)}' with another variant; "
                 "rename one of the files"
             )
-    cases = load_cases(order.artworks, stand=order.stand, root=order.root)
+    cases = load_cases(order.artworks, stand=order.stand, root=order.root, names=order.tiles)
     if all(recipe.lacking(case.tile) for recipe in recipes for case in cases):
         case, recipe = cases[0], recipes[0]
         raise CaptureError("\n".join(f"{case.name}: {said}" for said in recipe.lacking(case.tile)))
@@ -99,21 +103,12 @@ def checked(order: Order) -> tuple[list[Recipe], list[Case]]:
 
 
 def run_directly(workshop: Workshop, recipe: Recipe, cases: Sequence[Case]) -> list[Run]:
-    """Run a variant by calling its stages in this process, with a progress bar."""
+    """Run a variant by calling its stages, with a progress bar."""
     runs = []
     with console.TileProgress(recipe, [case.tile for case in cases]) as watch:
         for case in cases:
-
-            def ensure(
-                stage: Stage, tile: Tile, *arguments: Any, case: Case = case
-            ) -> tuple[ArtefactRef, bool]:
-                place, name = f"{recipe.name}: {case.name}", stage.__name__
-                watch(place, name, 0.0)
-                work = stage(workshop.store, tile, *arguments)
-                there = workshop.store.ensure(work, lambda share: watch(place, name, min(share, 0.99)))
-                watch(place, name, 1.0)
-                return work.ref, there
-
+            place = f"{recipe.name}: {case.name}"
+            ensure = ensure_here(workshop.store, place, watch, workshop.timeout)
             runs.append(workshop.run(case, recipe, ensure))
             watch.tile_done(runs[-1].outcome)
     return runs

@@ -11,10 +11,10 @@ from typing import Any
 from nlights_core.figures import NOT_MEASURED, figure_of
 from nlights_flows.comparing import Comparison
 from nlights_flows.comparison_pictures import TilePictures, tile_pictures
+from nlights_flows.pages import TEMPLATES, template
 
 TILES = 3
 """Tiles of which pictures are shown; each takes some megabytes."""
-_TEMPLATES = Path(__file__).with_name("templates")
 
 
 def write_page(path: Path, comparison: Comparison) -> None:
@@ -32,21 +32,13 @@ def write_page(path: Path, comparison: Comparison) -> None:
     OSError
         When it cannot be written, or a product has gone.
     """
-    import jinja2
     from markupsafe import Markup
 
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(_TEMPLATES),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
     record = comparison.record
-    script = (_TEMPLATES / "curtain.js").read_text(encoding="utf-8")
+    script = (TEMPLATES / "curtain.js").read_text(encoding="utf-8")
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     metrics = [metric for metric in record["metrics"] if metric["over"]]
-    page = environment.get_template("compare.html.j2").render(
+    page = template("compare.html.j2").render(
         record=record,
         metrics=[(metric, table_rows(metric)) for metric in metrics],
         unmeasured=[metric for metric in record["metrics"] if not metric["over"]],

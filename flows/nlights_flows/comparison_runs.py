@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 import json
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from nlights_core.capture import Tile
-from nlights_core.errors import CaptureError, TileError
+from nlights_core.errors import CaptureError
 from nlights_core.manifest import load_capture
 from nlights_core.recipe import Recipe
 from nlights_core.store import RECORD, ArtefactRef, Store, Work
+from nlights_flows import isolation
 from nlights_flows.comparison_variants import folder_of
-from nlights_flows.running import Outcome, explained, run_tile
-
-Ensure = Callable[..., tuple[ArtefactRef, bool]]
-"""How to run a stage: ``ensure(stage, tile, ...)`` gives the artefact and whether the store had it."""
+from nlights_flows.preparing import require_named
+from nlights_flows.running import Ensure, Outcome, attempt
 
 
 @dataclass(frozen=True)
@@ -53,7 +51,8 @@ class Made:
     seconds : float
         What it took when it was made, as the store remembers.
     peak_bytes : int or None
-        Most resident memory while it was made; None where that was not in this comparison.
+        Most resident memory while it was made; None where that was not in this comparison, or in a
+        child process.
     """
 
     ref: ArtefactRef
@@ -76,16 +75,27 @@ class Run:
         return f"{self.outcome.artwork}/{self.outcome.tile}"
 
 
-def load_cases(artworks: Sequence[Path], *, stand: str | None, root: Path | None) -> list[Case]:
-    """Every tile of some captures, with its truth where the capture has one.
+def load_cases(
+    artworks: Sequence[Path], *, stand: str | None, root: Path | None, names: Sequence[str] | None = None
+) -> list[Case]:
+    """Tiles of some captures, each with its truth where the capture has one.
 
     The truth is in ``truth/<tile>/`` beside the manifest, or in ``truth/`` where there is but one
     tile.
 
+    Parameters
+    ----------
+    artworks : sequence of Path
+        The captures' manifests.
+    stand, root
+        As for `nlights_core.manifest.load_capture`.
+    names : sequence of str, optional
+        Only the tiles that are called so, of all captures.
+
     Raises
     ------
     CaptureError
-        When two captures have a tile of the same name.
+        When two captures have a tile of the same name, or none has one of ``names``.
     """
     cases: dict[str, Case] = {}
     for path in artworks:
@@ -93,19 +103,19 @@ def load_cases(artworks: Sequence[Path], *, stand: str | None, root: Path | None
         folder = (path if path.is_dir() else path.parent) / "truth"
         for tile in tiles:
             places = [folder / tile.name] + ([folder] if len(tiles) == 1 else [])
-            truth = [
-                place
-                for place in places
-                if all((place / name).is_file() for name in ("normals.tif", "height.tif"))
-            ]
-            case = Case(tile, truth[0] if truth else None)
+            case = Case(tile, next(filter(_is_truth, places), None))
             if case.name in cases:
                 raise CaptureError(
                     f"{path}: the tile '{case.name}' was given already; give each capture once, and captures of "
                     "their own ids"
                 )
             cases[case.name] = case
-    return list(cases.values())
+    require_named((case.tile for case in cases.values()), names, ", ".join(map(str, artworks)))
+    return [case for case in cases.values() if not names or case.tile.name in names]
+
+
+def _is_truth(folder: Path) -> bool:
+    return all((folder / name).is_file() for name in ("normals.tif", "height.tif"))
 
 
 class Workshop:
@@ -117,20 +127,26 @@ class Workshop:
         Of all artefacts; variants share what they have in common.
     out : Path
         Products go to ``out/<variant>/<artwork>/<tile>/``.
+    compression : str
+        Of the TIFFs among the products, "none" or "zstd".
+    timeout : float, optional
+        Seconds that a stage may take.
     """
 
-    def __init__(self, store: Store, out: Path) -> None:
-        self.store, self.out = store, out
+    def __init__(
+        self, store: Store, out: Path, compression: str = "none", timeout: float | None = None
+    ) -> None:
+        self.store, self.out, self.compression, self.timeout = store, out, compression, timeout
         self.seconds = 0.0
         self._peaks: dict[str, int | None] = {}
 
     def run(self, case: Case, recipe: Recipe, ensure: Ensure) -> Run:
         """Run a variant on a tile; never raises for what concerns these two only."""
         made: list[Made] = []
-        started = time.monotonic()
 
-        def call(stage: Callable[..., Work], tile: Tile, *arguments: Any) -> ArtefactRef:
-            measured = _forget_peak()
+        def noted(stage: Callable[..., Work], tile: Tile, *arguments: Any) -> tuple[ArtefactRef, bool]:
+            here = not isolation.needs_child(arguments, self.timeout)
+            measured = here and _forget_peak()
             ref, there = ensure(stage, tile, *arguments)
             origin = "shared" if ref.key in self._peaks else "kept" if there else "made"
             if origin == "made":
@@ -138,21 +154,10 @@ class Workshop:
             seconds = _seconds(self.store, ref)
             self.seconds += seconds if origin == "made" else 0.0
             made.append(Made(ref, origin, seconds, self._peaks.get(ref.key)))
-            return ref
+            return ref, there
 
-        folder, message = None, ""
-        try:
-            if lacking := recipe.lacking(case.tile):
-                raise TileError("; ".join(lacking))
-            folder = run_tile(case.tile, recipe, self.store, self.out / folder_of(recipe), call)
-        except (Exception, SystemExit) as fault:  # a plugin may even call sys.exit
-            message = explained(fault, self.store)
-        state: Any = (
-            "failed" if folder is None else "done" if any(m.origin == "made" for m in made) else "unchanged"
-        )
-        outcome = Outcome(
-            case.tile.artwork, case.tile.name, state, folder, message, time.monotonic() - started
-        )
+        out = self.out / folder_of(recipe)
+        outcome = attempt(case.tile, recipe, self.store, out, noted, self.compression)
         return Run(recipe.name, outcome, tuple(made))
 
 

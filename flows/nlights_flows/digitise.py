@@ -3,7 +3,6 @@
 # No `from __future__ import annotations` here: Prefect resolves the parameters' types itself.
 import errno
 import logging
-import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -20,11 +19,12 @@ from prefect.states import Completed, Failed
 from nlights_core import stages
 from nlights_core.capture import Tile
 from nlights_core.manifest import load_capture
-from nlights_core.recipe import load_recipe
+from nlights_core.recipe import Recipe, load_recipe
 from nlights_core.store import ArtefactRef, Store, make_writable
 from nlights_flows import dask_runner, isolation
 from nlights_flows.environment import outlive_reader
-from nlights_flows.running import Around, Outcome, exit_code, explained, run_tile
+from nlights_flows.preparing import require_named
+from nlights_flows.running import Around, Ensure, Outcome, attempt, exit_code
 
 LASTING = {errno.ENOSPC, errno.EDQUOT, errno.ENOENT, errno.EACCES, errno.EPERM, errno.EROFS}
 """Faults of the operating system that stay until somebody acts."""
@@ -142,33 +142,63 @@ def digitise(
         Completed, or Failed when a tile failed; both carry the list of outcomes as their data.
     """
     outlive_reader()
-    logger = _logger()
     chosen = load_recipe(recipe)
     found = load_capture(Path(artwork), stand=stand, root=Path(root) if root else None)
+    require_named(found, tiles, artwork)
     kept = Store(Path(store) if store else Path(out) / ".store")
     kept.prepare()
     make_writable(Path(out), "--out")
     wanted = [tile for tile in found if not tiles or tile.name in tiles]
-    around = _told_around()
-    told: Iterable[Outcome | None]
     with dask_runner.reachable(dask_runner.checked(runner, address), address) as scheduler:
+        run_all: Callable[..., Iterable[Outcome | None]]
         if scheduler:
-            told = dask_runner.run_tiles(
-                wanted, chosen, kept, Path(out), scheduler, around, compression, timeout, run_tile_elsewhere
-            )
+            run_all = partial(dask_runner.run_tiles, address=scheduler, task=run_tile_elsewhere)
         else:
-            runs = [
-                partial(_run_tile, tile, chosen, kept, Path(out), compression, timeout) for tile in wanted
-            ]
-            told = (around(tile, run) for tile, run in zip(wanted, runs, strict=True))
-        outcomes, put_off = [], 0
-        for outcome in told:
-            if outcome is None:
-                put_off += 1
-                continue
-            outcomes.append(outcome)
-            if outcome.state == "failed":
-                logger.error("%s: %s", outcome.tile, outcome.message)
+            run_all = _run_tiles_as_tasks
+        told = run_all(
+            wanted, chosen, kept, Path(out), around=_told_around(), compression=compression, timeout=timeout
+        )
+        return _ended(told)
+
+
+def _run_tiles_as_tasks(
+    tiles: Iterable[Tile],
+    recipe: Recipe,
+    store: Store,
+    out: Path,
+    *,
+    around: Around,
+    compression: str,
+    timeout: float | None,
+) -> Iterator[Outcome | None]:
+    """Run tiles one after the other, each stage as a task; None for what ``around`` declined."""
+    for tile in tiles:
+        ensure = ensure_as_task(store, tile.name, timeout)
+        yield around(tile, partial(attempt, tile, recipe, store, out, ensure, compression))
+
+
+def ensure_as_task(store: Store, place: str, timeout: float | None = None) -> Ensure:
+    """How to run stages as tasks; ``place`` begins the names of their runs."""
+
+    def ensure(stage: Callable[..., Any], tile: Tile, *arguments: Any) -> tuple[ArtefactRef, bool]:
+        named = run_stage.with_options(name=stage.__name__, task_run_name=f"{place} {stage.__name__}")
+        state = named(stage.__name__, str(store.root), tile, *arguments, timeout=timeout, return_state=True)
+        return state.result(), state.name == "Cached"
+
+    return ensure
+
+
+def _ended(told: Iterable[Outcome | None]) -> State[Any]:
+    """What a flow returns for what became of its tiles, which is logged as it becomes known."""
+    logger = _logger()
+    outcomes, put_off = [], 0
+    for outcome in told:
+        if outcome is None:
+            put_off += 1
+            continue
+        outcomes.append(outcome)
+        if outcome.state == "failed":
+            logger.error("%s: %s", outcome.tile, outcome.message)
     failed = [outcome for outcome in outcomes if outcome.state == "failed"]
     message = f"{len(outcomes) - len(failed)} of {len(outcomes)} tiles done"
     if put_off:
@@ -177,29 +207,6 @@ def digitise(
         reasons = "".join(f"\n{o.tile}: {o.message}" for o in failed)
         return Failed(message=message + reasons, data=outcomes)
     return Completed(message=message, data=outcomes)
-
-
-def _run_tile(
-    tile: Tile, recipe: Any, store: Store, out: Path, compression: str, timeout: float | None
-) -> Outcome:
-    """Run a tile's stages as tasks; a tile's fault is its own."""
-    started = time.monotonic()
-    made: list[str] = []
-
-    def call(stage: Callable[..., Any], tile: Tile, *arguments: Any) -> ArtefactRef:
-        named = run_stage.with_options(name=stage.__name__, task_run_name=f"{tile.name} {stage.__name__}")
-        state = named(stage.__name__, str(store.root), tile, *arguments, timeout=timeout, return_state=True)
-        if state.name != "Cached":
-            made.append(stage.__name__)
-        return state.result()  # type: ignore[no-any-return]
-
-    try:
-        folder = run_tile(tile, recipe, store, out, call, compression)
-    except (Exception, SystemExit) as fault:  # a plugin may even call sys.exit
-        message = explained(fault, store)
-        return Outcome(tile.artwork, tile.name, "failed", None, message, time.monotonic() - started)
-    state = "done" if made else "unchanged"
-    return Outcome(tile.artwork, tile.name, state, folder, "", time.monotonic() - started)  # type: ignore[arg-type]
 
 
 def _told_around() -> Around:

@@ -1,24 +1,14 @@
 """Isolation: a stage in a child process of its own, which may hang, crash or fill the memory alone.
 
 A stage runs so where a time-out is set, and where a plugin that nLights does not ship takes part.
-The child (``python -m nlights_flows.isolation``) reads one job, a line of JSON, and answers with
-lines of JSON; artefacts go through the store, as always.
+The child is told references and options (`nlights_flows.children`); artefacts go through the store,
+as always.
 """
 
 from __future__ import annotations
 
-import contextlib
-import faulthandler
 import inspect
-import json
-import os
-import re
-import signal
-import subprocess
-import sys
-import threading
-import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -27,17 +17,9 @@ from nlights_core import stages
 from nlights_core.algorithms import KINDS, Algorithm
 from nlights_core.capture import Tile
 from nlights_core.errors import TileError
-from nlights_core.memory import GIB, budget
 from nlights_core.registry import installed
 from nlights_core.store import ArtefactRef, Progress, Store, Work, sweep
-
-ROOM = 2 * GIB
-"""What a child may take above the memory budget: Python, its libraries, the stacks of threads."""
-
-LAST_WORDS = 0.5
-"""Seconds in which a child that is stopped writes down where it was."""
-
-HERE = re.compile(r'File "(?P<file>.*)", line (?P<line>\d+) in (?P<function>\S+)')
+from nlights_flows import children
 
 
 def ensure(
@@ -79,20 +61,21 @@ def ensure(
     """
     if store.has(work.ref):
         return True
-    algorithms = [a for a in arguments if isinstance(a, Algorithm)]
-    if timeout is None and not any(is_foreign(a) for a in algorithms):
+    if not needs_child(arguments, timeout):
         return store.ensure(work, progress)
     answer = None
     try:
         with store.scratch() as scratch:
-            trace = scratch / "trace.txt"
-            with _child(_job(store, work, tile, arguments, trace), timeout) as (process, stopped):
-                assert process.stdout is not None
-                answer = _answer(process.stdout, progress)
+            with children.child(__name__, _job(store, work, tile, arguments), scratch, timeout) as child:
+                child.start_clock()
+                for said in child.words():
+                    if "share" in said:
+                        progress(said["share"])
+                    else:
+                        answer = said
+                        break
             if answer is None:
-                seen = trace.read_text(encoding="utf-8", errors="replace") if trace.exists() else ""
-                limit = timeout if stopped.is_set() else None
-                raise TileError(_ended(work.ref.stage, algorithms, seen, limit, process.returncode))
+                raise TileError(_ended(work.ref.stage, arguments, child))
     finally:
         if answer is None:
             # A killed child's drafts would go when their folders are next written to; they may be large.
@@ -101,76 +84,15 @@ def ensure(
     return _taken(answer)
 
 
+def needs_child(arguments: Sequence[Any], timeout: float | None) -> bool:
+    """Whether a stage that is called with these arguments and a time-out runs in a child."""
+    return timeout is not None or any(is_foreign(a) for a in arguments if isinstance(a, Algorithm))
+
+
 def is_foreign(algorithm: Algorithm) -> bool:
     """Whether an installed plugin offers an algorithm that nLights does not ship."""
     offer = installed().get(algorithm.slot, algorithm.name)
     return offer is not None and offer.algorithm is type(algorithm) and offer.distribution != "nlights"
-
-
-@contextlib.contextmanager
-def _child(job: str, timeout: float | None) -> Iterator[tuple[subprocess.Popen[str], threading.Event]]:
-    """A child at work; it has ended, by itself or not, when the block ends."""
-    process = subprocess.Popen(
-        [sys.executable, "-P", "-m", "nlights_flows.isolation"],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-        encoding="utf-8",
-        start_new_session=True,  # so that what it starts is stopped along with it
-    )
-    stopped = threading.Event()
-
-    def stop() -> None:
-        stopped.set()
-        _signal(process, signal.SIGUSR1)
-        time.sleep(LAST_WORDS)
-        _signal(process, signal.SIGKILL)
-
-    clock = threading.Timer(timeout, stop) if timeout is not None else None
-    try:
-        if clock:
-            clock.daemon = True
-            clock.start()
-        assert process.stdin is not None
-        with contextlib.suppress(BrokenPipeError):  # it may have died already
-            process.stdin.write(job + "\n")
-            process.stdin.flush()
-        yield process, stopped
-    finally:
-        if clock:
-            clock.cancel()
-        _finish(process)
-
-
-def _finish(process: subprocess.Popen[str]) -> None:
-    """End a child: one that has answered goes when its input closes, any other is killed."""
-    for pipe in (process.stdin, process.stdout):
-        if pipe:
-            with contextlib.suppress(BrokenPipeError):
-                pipe.close()
-    try:
-        process.wait(LAST_WORDS)
-    except subprocess.TimeoutExpired:
-        pass
-    finally:
-        _signal(process, signal.SIGKILL)
-        process.wait()
-
-
-def _signal(process: subprocess.Popen[str], number: signal.Signals) -> None:
-    """Send a signal to a child and to all that it started."""
-    with contextlib.suppress(ProcessLookupError, PermissionError):
-        os.killpg(process.pid, number)
-
-
-def _answer(lines: Iterable[str], progress: Progress) -> dict[str, Any] | None:
-    """The child's last word; None when it ended without one."""
-    for line in lines:
-        said = json.loads(line)
-        if "share" not in said:
-            return said  # type: ignore[no-any-return]
-        progress(said["share"])
-    return None
 
 
 def _taken(answer: dict[str, Any]) -> bool:
@@ -182,31 +104,21 @@ def _taken(answer: dict[str, Any]) -> bool:
     return bool(answer["cached"])
 
 
-def _ended(
-    stage: str, algorithms: Sequence[Algorithm], trace: str, limit: float | None, code: int | None
-) -> str:
+def _ended(stage: str, arguments: Sequence[Any], child: children.Child) -> str:
     """A sentence for a child that gave no answer: which algorithm, where, how long, what to do."""
-    at_work, place = _suspect(algorithms, trace)
+    at_work, place = _suspect([a for a in arguments if isinstance(a, Algorithm)], child)
     subject = f"{_named(at_work)}: the stage '{stage}'" if at_work else f"the stage '{stage}'"
     other = "choose another algorithm, or report it to its author" if at_work else "or report it"
-    if limit is not None:
-        return f"{subject} was stopped after {limit:g} s{place}; allow more with --timeout, {other}"
-    if code == -signal.SIGKILL:
-        return (
-            f"{subject} was killed by the system{place}, most often because the memory was full; close other "
-            f"programs, {other}"
-        )
-    how = f"signal {signal.Signals(-code).name}" if code is not None and code < 0 else f"exit code {code}"
-    return f"{subject} crashed ({how}){place}; {other}"
+    return f"{subject} {child.ending(place, other)}"
 
 
 def _named(algorithms: Sequence[Algorithm]) -> str:
     return "; ".join(f"{a.slot}: {a.name} ({installed().origin(a)})" for a in algorithms)
 
 
-def _suspect(algorithms: Sequence[Algorithm], trace: str) -> tuple[list[Algorithm], str]:
+def _suspect(algorithms: Sequence[Algorithm], child: children.Child) -> tuple[list[Algorithm], str]:
     """Whose verb a child was in, and where; all who took part when that cannot be told."""
-    frames = [match.groupdict() for match in HERE.finditer(trace)]
+    frames = child.frames()
     for algorithm in algorithms:
         own = inspect.getsourcefile(type(algorithm))
         kind = next(k for k in KINDS if isinstance(algorithm, k))
@@ -216,19 +128,15 @@ def _suspect(algorithms: Sequence[Algorithm], trace: str) -> tuple[list[Algorith
     return list(algorithms), ""
 
 
-def _job(store: Store, work: Work, tile: Tile, arguments: Sequence[Any], trace: Path) -> str:
+def _job(store: Store, work: Work, tile: Tile, arguments: Sequence[Any]) -> dict[str, Any]:
     """A stage's call as JSON."""
-    return json.dumps(
-        {
-            "store": str(store.root),
-            "stage": work.ref.stage,
-            "key": work.ref.key,
-            "tile": tile.model_dump(mode="json"),
-            "arguments": [_encoded(argument) for argument in arguments],
-            "memory": budget() + ROOM,
-            "trace": str(trace),
-        }
-    )
+    return {
+        "store": str(store.root),
+        "stage": work.ref.stage,
+        "key": work.ref.key,
+        "tile": tile.model_dump(mode="json"),
+        "arguments": [_encoded(argument) for argument in arguments],
+    }
 
 
 def _encoded(argument: Any) -> dict[str, Any]:
@@ -251,33 +159,6 @@ def _decoded(argument: dict[str, Any]) -> Any:
     return argument["value"]
 
 
-def main() -> None:
-    """Do the job that stands on the standard input; answer on the standard output."""
-    # What a plugin prints must not be taken for an answer.
-    answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
-    os.dup2(2, 1)
-    job = json.loads(sys.stdin.readline())
-    with Path(job["trace"]).open("w") as trace:
-        faulthandler.enable(trace)
-        faulthandler.register(signal.SIGUSR1, trace)
-        threading.Thread(target=_end_with_parent, daemon=True).start()
-
-        def say(**words: Any) -> None:
-            answers.write(json.dumps(words) + "\n")
-            answers.flush()
-
-        say(**_done(job, lambda share: say(share=share)))
-        faulthandler.disable()
-        faulthandler.unregister(signal.SIGUSR1)
-    os._exit(0)  # threads that a plugin left behind must not keep the process
-
-
-def _end_with_parent() -> None:
-    """Wait until whoever asked for the work is gone; nobody would stop this process then."""
-    sys.stdin.read()
-    os._exit(1)
-
-
 def _done(job: dict[str, Any], progress: Progress) -> dict[str, Any]:
     """Run a job's stage and say what came of it."""
     from nlights_flows.running import explained
@@ -285,7 +166,7 @@ def _done(job: dict[str, Any], progress: Progress) -> dict[str, Any]:
     store = Store(Path(job["store"]))
     arguments: list[Any] = []
     try:
-        _limit_memory(job["memory"])
+        children.limit_memory(job["memory"])
         tile = Tile.model_validate(job["tile"])
         arguments = [_decoded(argument) for argument in job["arguments"]]
         work = getattr(stages, job["stage"])(store, tile, *arguments)
@@ -307,14 +188,5 @@ def _done(job: dict[str, Any], progress: Progress) -> dict[str, Any]:
         return {"fault": explained(fault, store)}
 
 
-def _limit_memory(size: int) -> None:
-    """Let an allocation fail in this process rather than exhaust the machine."""
-    import resource
-
-    hard = resource.getrlimit(resource.RLIMIT_DATA)[1]
-    limit = size if hard == resource.RLIM_INFINITY else min(size, hard)
-    resource.setrlimit(resource.RLIMIT_DATA, (limit, hard))
-
-
 if __name__ == "__main__":
-    main()
+    children.answer(lambda job, say: say(**_done(job, lambda share: say(share=share))))

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from nlights_core import memory
 from nlights_core.capture import Tile
 from nlights_core.errors import CaptureError
 from nlights_core.export import Compression
@@ -16,6 +14,7 @@ from nlights_core.store import Store
 from nlights_flows import dask_runner
 from nlights_flows.night_estimates import Deadline
 from nlights_flows.night_limits import Limits, load_limits
+from nlights_flows.preparing import allow_memory
 from nlights_flows.running import Around
 
 COMPRESSIONS = ("none", "zstd")
@@ -108,11 +107,7 @@ def checked(order: Order) -> Checked:
     for option, value in (("--settle", order.settle), ("--timeout", order.timeout)):
         if value is not None and not value >= 0:
             raise CaptureError(f"{option}: should be a number of seconds, 0 or more; got {value}")
-    if order.memory is not None:
-        try:
-            os.environ[memory.VARIABLE] = str(memory.parse_size(order.memory))
-        except ValueError as fault:
-            raise CaptureError(f"--memory: {fault}") from None
+    allow_memory(order.memory)
     return Checked(
         order,
         load_recipe(order.recipe),

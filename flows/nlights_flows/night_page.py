@@ -16,6 +16,7 @@ from nlights_flows.night_estimates import said
 from nlights_flows.night_limits import VERDICTS
 from nlights_flows.night_pictures import thumbnail
 from nlights_flows.night_record import PAGE, NightRecord, verdict
+from nlights_flows.pages import template
 
 PICTURES = 300
 """Tiles that have a picture; with more the page grows too large for a browser."""
@@ -37,19 +38,10 @@ def write_pages(record: NightRecord, folder: Path, out: Path) -> None:
     OSError
         When one cannot be written.
     """
-    import jinja2
-
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(Path(__file__).with_name("templates")),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    template = environment.get_template("night.html.j2")
+    page = template("night.html.j2")
     shown = _shown(record, out)
     for place, up in ((folder, "../../"), (out, "")):
-        write_whole(place / PAGE, template.render(up=up, **shown))
+        write_whole(place / PAGE, page.render(up=up, **shown))
 
 
 def _shown(record: NightRecord, out: Path) -> dict[str, Any]:

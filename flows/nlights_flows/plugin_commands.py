@@ -81,6 +81,15 @@ def check(
         typer.Argument(metavar="[NAME...]", help="Algorithms or distributions; every plugin if not given."),
     ] = None,
     everything: Annotated[bool, typer.Option("--all", help="Also what nLights ships.")] = False,
+    timeout: Annotated[
+        float | None,
+        typer.Option(
+            "--timeout",
+            metavar="SECONDS",
+            min=1,
+            help="Stop a check that takes longer; its plugin fails, the others go on.",
+        ),
+    ] = None,
 ) -> None:
     """Check that installed plugins keep the contracts of their kinds.
 
@@ -98,7 +107,9 @@ def check(
         table.add_column(heading, no_wrap=heading != "contract")
     broken = 0
     for offer in offers:
-        found = verdict(offer)
+        found = verdict(offer, timeout)
+        if found.ended:
+            console.complain(found.ended)
         broken += bool(found.broken)
         said = "\n".join(found.broken) or found.unchecked or "kept"
         table.add_row(offer.algorithm.slot, offer.algorithm.name, offer.origin, said)

@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Any, Literal
 
 from nlights_core.capture import Tile
-from nlights_core.errors import NlightsError
+from nlights_core.errors import NlightsError, TileError
 from nlights_core.memory import require
 from nlights_core.publishing import publish
 from nlights_core.recipe import Recipe
-from nlights_core.store import ArtefactRef, Store
+from nlights_core.store import ArtefactRef, Store, Work
 from nlights_core.surveys import survey
 from nlights_flows import isolation
 from nlights_flows.chain import digitise_tile
@@ -50,6 +50,9 @@ class Outcome:
 
 Around = Callable[[Tile, Callable[[], Outcome]], Outcome | None]
 """Told a tile and how to run it, right before it would be run; None when it declined to."""
+
+Ensure = Callable[..., tuple[ArtefactRef, bool]]
+"""How to run a stage: ``ensure(stage, tile, ...)`` gives the artefact and whether the store had it."""
 
 Watch = Callable[[str, str, float], None]
 """Told tile, stage and the stage's share done (1 when it ended)."""
@@ -91,6 +94,8 @@ def run_tile(
     Path
         The folder of the products.
     """
+    if lacking := recipe.lacking(tile):
+        raise TileError("; ".join(lacking))
     require_memory(tile, recipe)
     photographs = Photographs.of(tile, recipe, store)
     refs = digitise_tile(tile, recipe, call, compression)
@@ -127,34 +132,55 @@ def run_directly(
 ) -> Outcome:
     """Run a tile by calling its stages; never raises for what concerns the tile only.
 
-    They run in this process, or each in a child where there is a time-out (seconds) or a plugin of
-    somebody else's: see `nlights_flows.isolation`.
+    For ``timeout`` and child processes see `ensure_here`.
     """
-    started = time.monotonic()
-    made: list[str] = []
+    return attempt(tile, recipe, store, out, ensure_here(store, tile.name, watch, timeout), compression)
 
-    def call(stage: Callable[..., Any], tile: Tile, *arguments: Any) -> ArtefactRef:
+
+def ensure_here(store: Store, place: str, watch: Watch, timeout: float | None = None) -> Ensure:
+    """How to run stages by calling them.
+
+    They run in this process, or each in a child where there is a time-out (seconds) or a plugin of
+    somebody else's: see `nlights_flows.isolation`.  ``place`` is what ``watch`` is told as the tile.
+    """
+
+    def ensure(stage: Callable[..., Work], tile: Tile, *arguments: Any) -> tuple[ArtefactRef, bool]:
         name = stage.__name__
-        watch(tile.name, name, 0.0)
+        watch(place, name, 0.0)
         work = stage(store, tile, *arguments)
 
         def told(share: float) -> None:
             # 0 and 1 are said here alone: a stage begins once and ends once.
-            watch(tile.name, name, min(max(share, 0.01), 0.99))
+            watch(place, name, min(max(share, 0.01), 0.99))
 
-        if not isolation.ensure(store, work, tile, arguments, told, timeout):
-            made.append(name)
-        watch(tile.name, name, 1.0)
-        return work.ref  # type: ignore[no-any-return]
+        there = isolation.ensure(store, work, tile, arguments, told, timeout)
+        watch(place, name, 1.0)
+        return work.ref, there
 
+    return ensure
+
+
+def attempt(
+    tile: Tile, recipe: Recipe, store: Store, out: Path, ensure: Ensure, compression: str = "none"
+) -> Outcome:
+    """Run a tile, however its stages are run; never raises for what concerns the tile only."""
+    started = time.monotonic()
+    made: list[str] = []
+
+    def call(stage: Callable[..., Work], tile: Tile, *arguments: Any) -> ArtefactRef:
+        ref, there = ensure(stage, tile, *arguments)
+        if not there:
+            made.append(ref.stage)
+        return ref
+
+    folder, message = None, ""
+    state: Literal["done", "unchanged", "failed"] = "failed"
     try:
         folder = run_tile(tile, recipe, store, out, call, compression)
+        state = "done" if made else "unchanged"
     except (Exception, SystemExit) as fault:  # a plugin may even call sys.exit
-        return Outcome(
-            tile.artwork, tile.name, "failed", None, explained(fault, store), time.monotonic() - started
-        )
-    state: Literal["done", "unchanged"] = "done" if made else "unchanged"
-    return Outcome(tile.artwork, tile.name, state, folder, "", time.monotonic() - started)
+        message = explained(fault, store)
+    return Outcome(tile.artwork, tile.name, state, folder, message, time.monotonic() - started)
 
 
 def explained(fault: BaseException, store: Store) -> str:

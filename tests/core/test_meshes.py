@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from nlights_core import export, meshes
+from nlights_core import compiled_meshes, export, meshes
 from nlights_core.frames import PixelGrid
 from nlights_core.meshes import refined, write_glb
 from nlights_core.pixel_meshes import write_ply
@@ -135,6 +135,14 @@ def test_perspective_moves_the_vertices_of_the_glb_as_it_moves_the_grid(tmp_path
     mesh = trimesh.load(tmp_path / "m.glb").to_geometry()
     expected = GRID.points(0, 40, height).reshape(3, -1).T / 1000
     np.testing.assert_allclose(np.sort(mesh.vertices, axis=0), np.sort(expected, axis=0), atol=1e-7)
+
+
+def test_the_normals_of_the_glb_are_those_of_its_surface():
+    places, corners = refined(bumps(PixelGrid(65, 65, 1.0)), 1000)
+    found = np.empty(places.shape, np.float32)
+    compiled_meshes.vertex_normals(places, corners, found)
+    expected = trimesh.Trimesh(places, corners, process=False).vertex_normals
+    np.testing.assert_allclose(found, expected, atol=1e-6)
 
 
 def test_the_texture_lies_on_the_surface_the_right_way_up(tmp_path):

@@ -9,7 +9,7 @@ from nlights_core import export, map_statistics
 from nlights_core.figures import Number, figure_of
 from nlights_core.frames import PixelGrid
 from nlights_core.levelling import Level
-from nlights_core.map_statistics import best_plane, bias_angle, extremes, misclosure, unevenness
+from nlights_core.map_statistics import bias_angle, extremes, inclination, misclosure, relief, unevenness
 from nlights_core.quality import measure, of_level
 
 GRID = PixelGrid(60, 80, 0.5)
@@ -49,13 +49,15 @@ def test_the_best_plane_ignores_what_is_not_known():
     height, _ = plane()
     height[10:30, 5:40] = np.nan
     height[:, -1] = np.nan
-    assert best_plane(height, GRID) == pytest.approx((0.02, -0.01, 5), rel=1e-4)
+    found = relief(height, GRID, level=4.5)
+    assert found.plane == pytest.approx((0.02, -0.01, 5), rel=1e-4)
+    assert found.rms == pytest.approx(np.nanstd(height.astype(float)), rel=1e-6)
 
 
 def test_three_points_on_a_line_have_no_plane():
     height = np.full(GRID.shape, np.nan, np.float32)
     height[7, [3, 8, 20]] = 1
-    assert best_plane(height, GRID) is None
+    assert relief(height, GRID).plane is None
 
 
 def test_the_slopes_of_a_bowl_close_and_a_whirl_does_not():
@@ -75,6 +77,17 @@ def test_misclosure_is_shown_in_micrometres_or_pixels():
     unscaled = PixelGrid(60, 80, 1, unit="px")
     in_px = next(n for n in measure(whirl, unscaled) if n.name.startswith("Misclosure"))
     assert (in_px.value, in_px.unit) == (pytest.approx(0.004, rel=1e-4), "px")
+
+
+@pytest.mark.parametrize("spread", [0.001, 0.3, 3.0])
+def test_the_mean_slope_is_that_of_the_angles_themselves(spread):
+    rng = np.random.default_rng(1)
+    n = rng.normal([0, 0, 1], spread, (40, 50, 3))
+    n[rng.random((40, 50)) < 0.2] = np.nan
+    angles = np.degrees(np.arctan2(np.hypot(n[..., 0], n[..., 1]), n[..., 2]))
+    share, mean = inclination(n.astype(np.float32))
+    assert share == np.isfinite(angles).mean()
+    assert mean == pytest.approx(np.nanmean(angles), rel=1e-6)
 
 
 def test_shares_count_pixels():

@@ -18,7 +18,7 @@ from nlights_core.fields import LightField
 from nlights_core.figures import Number, figure_of
 from nlights_core.frames import PixelGrid
 from nlights_core.quality import measure
-from nlights_core.report import write_report
+from nlights_core.report import draw, write_report
 
 LAMPS = ("Relio_1", "Relio_2", "Relio_3")
 POSITIONS = np.array([[800.0, 0, 600], [-400, 700, 610.5], [-400, -700, 620]])
@@ -99,9 +99,8 @@ class Page(HTMLParser):
 
 
 def written(tmp_path, record, maps, grid, numbers=None):
-    write_report(
-        tmp_path / "report.html", record, maps, grid, measure(maps, grid) if numbers is None else numbers
-    )
+    numbers = measure(maps, grid) if numbers is None else numbers
+    write_report(tmp_path / "report.html", record, draw(record, maps, grid), numbers)
     return Page((tmp_path / "report.html").read_text(encoding="utf-8"))
 
 
@@ -325,14 +324,9 @@ def test_counts_that_hardly_occur_are_not_listed_and_neighbours_differ_plainly()
 
 @pytest.mark.parametrize("name", ["horizontal", "vertical-open", "vertical-dark"])
 def test_on_the_plan_no_lamp_is_hidden_by_a_name_and_no_name_by_another(name):
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     stand = load_stand(name)
     lights = LightField(tuple(stand.lamps), positions=stand.lamp_positions()).record()
-    figure = Figure((6.4, 5.6), layout="constrained")
-    FigureCanvasAgg(figure).draw()
-    axes = plots.draw_lights(figure, lights, PixelGrid(300, 400, 1.25, tuple(stand.camera_position)))
+    figure, axes = plots.draw_lights(lights, PixelGrid(300, 400, 1.25, tuple(stand.camera_position)))
     figure.canvas.draw()
     names = [text.get_window_extent() for text in axes.texts if text.get_text().startswith("Relio")]
     field = axes.patches[0].get_window_extent()

@@ -1,5 +1,10 @@
 """Pictures of pages by a real browser: what is blank or lacks a word is refused."""
 
+import http.server
+import socket
+import threading
+from typing import ClassVar
+
 import page_pictures
 import pytest
 from PIL import Image
@@ -38,5 +43,36 @@ def test_a_blank_page_is_refused(page, tmp_path):
         page.picture(tmp_path / "night.png")
 
 
-def test_the_browser_reaches_nothing_beyond_this_machine(page):
-    page.open("http://example.org/", ["ERR_NAME_NOT_RESOLVED"])
+class Asked(http.server.BaseHTTPRequestHandler):
+    """Serves one page, whose pictures are on several hosts, and remembers what it was asked for."""
+
+    asked: ClassVar[list[str]] = []
+    page: ClassVar[str] = ""
+
+    def do_GET(self) -> None:
+        self.asked.append(self.path)
+        self.send_response(200)
+        self.send_header("Content-Type", "text/html")
+        self.end_headers()
+        if self.path == "/":
+            self.wfile.write(self.page.encode())
+
+    def log_message(self, *words) -> None:
+        """Say nothing."""
+
+
+def test_the_browser_reaches_nothing_beyond_the_loopback_address(page):
+    with http.server.ThreadingHTTPServer(("0.0.0.0", 0), Asked) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        port = server.server_port
+        # All of these are this very server: only what the browser is forbidden keeps it from asking there.
+        far = ["127.0.0.2", socket.gethostname()]
+        places = [f"http://127.0.0.1:{port}/near", *(f"http://{host}:{port}/far/{host}" for host in far)]
+        pictures = "".join(f'<img src="{place}">' for place in places)
+        Asked.page = f"{pictures}<script>onload = () => document.body.append('all was tried')</script>"
+        with socket.create_connection(("127.0.0.2", port)):
+            pass  # it can be reached
+        page.open(f"http://127.0.0.1:{port}/", ["all was tried"])
+        server.shutdown()
+    assert "/near" in Asked.asked
+    assert not [path for path in Asked.asked if path.startswith("/far")]

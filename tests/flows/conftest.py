@@ -1,4 +1,4 @@
-"""What several tests of the flows start: a Dask cluster of this machine."""
+"""What several tests of the flows need: a Dask cluster of this machine, plugins that misbehave."""
 
 import os
 import sys
@@ -34,3 +34,14 @@ def cluster(tmp_path):
     finally:
         for service in (*workers, scheduler):
             service.kill()
+
+
+@pytest.fixture(scope="session")
+def rascals(tmp_path_factory) -> dict[str, str]:
+    """The environment of a process in which the rascals are installed: their folder, and their metadata."""
+    record = tmp_path_factory.mktemp("installed") / "nlights_rascals-0.1.dist-info"
+    record.mkdir()
+    (record / "METADATA").write_text("Metadata-Version: 2.1\nName: nlights-rascals\nVersion: 0.1\n")
+    (record / "entry_points.txt").write_text("[nlights]\nrascals = nlights_rascals\n")
+    paths = [Path(__file__).with_name("rascals"), record.parent, os.environ.get("PYTHONPATH")]
+    return os.environ | {"PYTHONPATH": os.pathsep.join(str(path) for path in paths if path)}

@@ -180,3 +180,43 @@ def test_a_memory_budget_that_is_too_small_is_said_before_anything_runs(painting
     assert products(tmp_path / "out") == []
     done = nlights("digitise", painting, "--out", tmp_path / "out", "--memory", "much", code=2)
     assert "write for instance 6GiB" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("gone", "words"),
+    [
+        ("stdout", "--version"),
+        ("stdout", "--help"),
+        ("stdout", "plugins"),
+        ("stdout", "plugins --schema"),
+        ("stdout", "report {digitised}"),
+        ("stdout", "check {painting}"),
+        ("stderr", "nosuch"),
+        ("stderr", "report {painting}"),
+        ("stderr", "check {painting}/nowhere"),
+    ],
+)
+def test_a_command_whose_reader_goes_away_ends_quietly(digitised, painting, gone, words):
+    process = subprocess.Popen(
+        [NLIGHTS, *words.format(digitised=digitised, painting=painting).split()],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    streams = {"stdout": process.stdout, "stderr": process.stderr}
+    streams.pop(gone).close()  # before anything is written
+    (other,) = streams.values()
+    said = other.read()
+    other.close()
+    assert process.wait() == 141
+    assert said.strip() == ""
+
+
+def test_digitising_for_a_reader_who_goes_away_keeps_what_is_finished(painting, tmp_path):
+    words = [NLIGHTS, "digitise", painting, "--out", tmp_path]
+    process = subprocess.Popen(list(map(str, words)), stderr=subprocess.PIPE, text=True)
+    assert process.stderr.readline().startswith("r0c0: lights:")
+    process.stderr.close()
+    assert process.wait() == 141
+    assert list(tmp_path.rglob("lights-*/artefact.json"))
+    assert not list(tmp_path.rglob(".draft-*"))

@@ -210,6 +210,7 @@ def test_the_flow_finds_what_the_direct_call_found_and_runs_each_stage_as_a_task
     painting, tmp_path, monkeypatch
 ):
     words = ("--recipes", "psbox", "paper", "--store", tmp_path / "store")
+    words += ("--tile", "r0c0", "--compression", "zstd", "--memory", "4GiB", "--timeout", "600")
     compare(painting, *words, "--out", tmp_path / "direct")
     monkeypatch.setenv("PREFECT_HOME", str(tmp_path / "prefect"))
     monkeypatch.delenv("PREFECT_API_URL", raising=False)

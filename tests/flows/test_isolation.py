@@ -20,92 +20,6 @@ from nlights_flows import isolation
 
 NLIGHTS = Path(sys.executable).parent / "nlights"
 
-RASCALS = '''
-"""Integrators that break what they can; they behave on tiles of another name than "bad"."""
-
-import os, signal, subprocess, sys, time
-from pathlib import Path
-
-import numpy as np
-
-from nlights_core.algorithms import Integrator
-from nlights_core.fields import HeightMap
-from nlights_core.registry import hookimpl
-from nlights_plugins.integrators import Simchony
-
-
-class Rascal(Integrator):
-    def integrate(self, normals):
-        good = Simchony().integrate(normals)
-        if Path("behave").exists():
-            return good
-        return HeightMap(np.asarray(self.spoil(normals.normals, good.height), np.float32), normals.grid)
-
-
-class Hangs(Rascal):
-    name = "hangs"
-
-    def spoil(self, normals, height):
-        print("this must not be taken for an answer")
-        child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
-        Path("child.pid").write_text(str(child.pid))
-        while True:
-            time.sleep(1)
-
-
-class Crashes(Rascal):
-    name = "crashes"
-
-    def spoil(self, normals, height):
-        os.kill(os.getpid(), signal.SIGSEGV)
-
-
-class Leaves(Rascal):
-    name = "leaves"
-
-    def spoil(self, normals, height):
-        os._exit(3)
-
-
-class Hoards(Rascal):
-    name = "hoards"
-
-    def spoil(self, normals, height):
-        return np.ones(1 << 40)
-
-
-class Raises(Rascal):
-    name = "raises"
-
-    def spoil(self, normals, height):
-        return height / {}["missing"]
-
-
-class Scribbles(Rascal):
-    name = "scribbles"
-
-    def spoil(self, normals, height):
-        normals[0] = 0
-        return height
-
-
-class Microns(Rascal):
-    name = "microns"
-
-    def spoil(self, normals, height):
-        return 1000 * height
-
-
-def offer(*classes):
-    @hookimpl
-    def nlights_algorithms():
-        return list(classes)
-    return nlights_algorithms
-
-
-nlights_algorithms = offer(Hangs, Crashes, Leaves, Hoards, Raises, Scribbles, Microns)
-'''
-
 RECIPE = """
 light_model: {{use: measured-poi}}
 detrend:
@@ -116,33 +30,20 @@ integrator: {{use: {integrator}}}
 
 
 @pytest.fixture(scope="module")
-def environment(tmp_path_factory) -> dict[str, str]:
-    """The environment of a process in which the rascals are installed: a folder with their metadata."""
-    folder = tmp_path_factory.mktemp("installed")
-    (folder / "nlights_rascals.py").write_text(RASCALS)
-    record = folder / "nlights_rascals-0.1.dist-info"
-    record.mkdir()
-    (record / "METADATA").write_text("Metadata-Version: 2.1\nName: nlights-rascals\nVersion: 0.1\n")
-    (record / "entry_points.txt").write_text("[nlights]\nrascals = nlights_rascals\n")
-    paths = [str(folder), *filter(None, [os.environ.get("PYTHONPATH")])]
-    return os.environ | {"PYTHONPATH": os.pathsep.join(paths)}
-
-
-@pytest.fixture(scope="module")
 def plane(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("captures") / "relief"
     simulate(folder, load_stand("horizontal"), scene="relief", width=96, seed=1)
     return folder
 
 
-def run(place: Path, environment: dict[str, str], plane: Path, integrator: str, *options: object):
+def run(place: Path, rascals: dict[str, str], plane: Path, integrator: str, *options: object):
     recipe = place / f"{integrator}.yaml"
     recipe.write_text(RECIPE.format(integrator=integrator))
     words = [NLIGHTS, "digitise", plane, "--recipe", recipe, "--out", "out", *options]
     done = subprocess.run(
         list(map(str, words)),
         cwd=place,
-        env=environment,
+        env=rascals,
         capture_output=True,
         text=True,
         timeout=300,
@@ -153,18 +54,18 @@ def run(place: Path, environment: dict[str, str], plane: Path, integrator: str, 
 
 
 @pytest.fixture(scope="module")
-def store(environment, plane, tmp_path_factory) -> Path:
+def store(rascals, plane, tmp_path_factory) -> Path:
     """A store that holds all that comes before the integrator."""
     place = tmp_path_factory.mktemp("before")
-    run(place, environment, plane, "raises", "--store", place / "store")
+    run(place, rascals, plane, "raises", "--store", place / "store")
     assert list((place / "store").rglob("normals-*"))
     return place / "store"
 
 
 @pytest.fixture
-def digitise(environment, plane, store, tmp_path):
+def digitise(rascals, plane, store, tmp_path):
     def in_store(integrator: str, *options: object, code: int) -> subprocess.CompletedProcess:
-        done = run(tmp_path, environment, plane, integrator, "--store", store, *options)
+        done = run(tmp_path, rascals, plane, integrator, "--store", store, *options)
         assert done.returncode == code, done.stdout + done.stderr
         assert leftovers(store) == []
         return done
@@ -258,14 +159,14 @@ def test_what_the_capture_is_to_blame_for_is_told_as_without_a_child(plane, tmp_
         isolation.ensure(store, work, bare, (model,), timeout=60)
 
 
-def test_a_child_does_not_outlive_its_parent(environment, plane, store, tmp_path):
+def test_a_child_does_not_outlive_its_parent(rascals, plane, store, tmp_path):
     recipe = tmp_path / "hangs.yaml"
     recipe.write_text(RECIPE.format(integrator="hangs"))
     words = [NLIGHTS, "digitise", plane, "--recipe", recipe, "--out", "out", "--store", store]
     parent = subprocess.Popen(
         list(map(str, words)),
         cwd=tmp_path,
-        env=environment,
+        env=rascals,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )

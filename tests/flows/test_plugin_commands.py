@@ -7,6 +7,7 @@ import shlex
 import subprocess
 import sys
 import sysconfig
+import time
 import venv
 from pathlib import Path
 
@@ -212,6 +213,36 @@ def test_check_says_what_is_broken_with_exit_code_1(tmp_path):
         assert ("nlights-wrong 0.3" in done.stdout) == (name == "wrong")
         assert ("hills wrong by" in done.stdout) == (name == "wrong")
         assert ("kept" in done.stdout) == (name == "simchony")
+
+
+def test_a_check_that_hangs_or_crashes_is_named_and_costs_its_plugin_only(rascals, tmp_path):
+    started = time.monotonic()
+    done = subprocess.run(
+        [NLIGHTS, "plugins", "check", "hangs", "crashes", "raises", "simchony", "--timeout", "5"],
+        cwd=tmp_path,
+        env=rascals,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert time.monotonic() - started < 120
+    assert done.returncode == 1, done.stdout + done.stderr
+    rule = "a tilted plane is recovered in mm with y up"
+    hung, crashed = sorted(line for line in done.stderr.splitlines() if "the check '" in line)[::-1]
+    assert hung.startswith(
+        f"integrator: hangs (nlights-rascals 0.1): the check '{rule}' was stopped after 5 s"
+    )
+    assert re.search(
+        r" in nlights_rascals.py:\d+; allow more with --timeout, or report it to its author", hung
+    )
+    assert f"crashes (nlights-rascals 0.1): the check '{rule}' crashed (signal SIGSEGV) in" in crashed
+    assert f"{rule}: did not end" in done.stdout
+    assert "KeyError: 'missing'" in done.stdout
+    assert re.search(r"integrator +simchony +nlights \S+ +kept", done.stdout)
+    assert "3 of 4 break their contract" in done.stdout
+    if Path("/proc").is_dir():
+        assert not Path("/proc", (tmp_path / "child.pid").read_text()).exists()
 
 
 def test_the_schema_is_printed_by_the_group_and_by_list():
