@@ -20,6 +20,7 @@ from pathlib import Path
 import numpy as np
 import scipy.fft
 from full_size_capture import write_capture
+from stage_rates import SOLVERS, integration_ratio, normals_rate, raw_transforms
 from tables import Table, write
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -35,12 +36,13 @@ def main() -> None:
     parser.add_argument("--work", type=Path, help="folder for some 35 GB, a temporary one by default")
     parser.add_argument("--out", type=Path, default=DOCS, help="folder of performance.md and .json")
     wanted = parser.parse_args()
-    rows, growth = [], []
+    rows, growth, rates = [], [], []
     with tempfile.TemporaryDirectory(dir=wanted.work) as place:
         for size in wanted.sizes:
             measured = _measure(Path(place) / "one", size, wanted.recipe)
             rows += _rows(measured)
             growth.append(_summary(measured))
+            rates.append((f"{measured['pixels']:.0f}", *measured["rates"].values()))
             shutil.rmtree(Path(place) / "one")
     made = {
         "date": datetime.date.today().isoformat(),
@@ -50,7 +52,12 @@ def main() -> None:
     }
     columns = ("size, Mpx", "step", "seconds", "share of the chain", "ratio to the floor")
     totals = ("size, Mpx", "floor, s", "chain, s", "ratio", "s per Mpx", "peak memory, GiB", "repeated, s")
-    tables = [Table("totals", totals, growth), Table("steps", columns, rows)]
+    alone = ("size, Mpx", *measured["rates"])
+    tables = [
+        Table("totals", totals, growth),
+        Table("rates", alone, rates),
+        Table("steps", columns, rows),
+    ]
     write(wanted.out, "performance", tables, made)
     for table in tables:
         print(f"\n{table.markdown()}", flush=True)
@@ -69,10 +76,13 @@ def _measure(folder: Path, megapixels: float, recipe: str) -> dict:
     again = _digitise(folder, recipe)[1]
     products = [path for path in (folder / "out").rglob("*") if path.is_file() and ".store" not in path.parts]
     floor["write all outputs"] = _write(folder / "floor.bin", sum(path.stat().st_size for path in products))
-    floor["two cosine transforms"] = _transforms(shape)
+    floor["two cosine transforms"] = raw_transforms([scipy.fft.next_fast_len(n, real=True) for n in shape])
     floor["copy the inputs in memory"] = _copy(
         sum(p.stat().st_size for p in (folder / "capture").rglob("*.tif"))
     )
+    store = folder / "out" / ".store"
+    rates = {f"normals, {name}, Mpx/s": normals_rate(folder / "capture", store, name) for name in SOLVERS}
+    rates["simchony / two raw transforms"] = integration_ratio(folder / "capture", store)
     stages["start, digests of the photographs"] = seconds - sum(stages.values())
     for name, value in floor.items():
         print(f"  floor: {name}: {value:.1f} s", flush=True)
@@ -84,6 +94,7 @@ def _measure(folder: Path, megapixels: float, recipe: str) -> dict:
         "seconds": seconds,
         "peak": peak,
         "again": again,
+        "rates": rates,
     }
 
 
@@ -140,16 +151,6 @@ def _write(path: Path, size: int) -> float:
     seconds = time.monotonic() - started
     path.unlink()
     return seconds
-
-
-def _transforms(shape: tuple[int, int]) -> float:
-    """Seconds of a cosine transform there and back, at the next fast size."""
-    fast = tuple(scipy.fft.next_fast_len(n, real=True) for n in shape)
-    field = np.random.default_rng(0).standard_normal(fast, np.float32)
-    started = time.monotonic()
-    field = scipy.fft.dctn(field, overwrite_x=True, workers=os.cpu_count())
-    scipy.fft.idctn(field, overwrite_x=True, workers=os.cpu_count())
-    return time.monotonic() - started
 
 
 def _copy(size: int) -> float:

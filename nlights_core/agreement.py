@@ -123,7 +123,8 @@ def _surprise(band: Band, found: Solution) -> Array:
     with np.errstate(divide="ignore", invalid="ignore"):
         reading = np.sum(weights * np.where(used, band.grey, 0), axis=0) / total
         square = PHOTONS * np.sum(weights * missed**2, axis=0) / reading
-        ratio = np.sqrt(square / chdtri(np.maximum(freedom, 1), 0.5))
+        median = chdtri(np.arange(1, len(used) + 1), 0.5)[np.maximum(freedom, 1) - 1]
+        ratio = np.sqrt(square / median)
     return np.where(freedom > 0, ratio, np.nan).ravel()
 
 

@@ -121,6 +121,33 @@ def develop(
 
 
 @compiled
+def cells(values: Array, columns: int, found: Array) -> None:
+    """What `Optics.plate` is.
+
+    Parameters
+    ----------
+    values : (L, H W, C) float32 array
+        Minus the binary logarithm of the plate's reading; of one channel or three.
+    columns : int
+        W.
+    found : (L, H W, 12) float32 array
+        Receives the cells; those that begin at the right and lower border are left as they are.
+    """
+    for i in range(len(values)):
+        value = values[i]
+        for at in range(len(value) - columns):
+            if at % columns == columns - 1:
+                continue
+            for c in range(3):
+                k = c if value.shape[1] > 1 else 0
+                first, right, down = value[at, k], value[at + 1, k], value[at + columns, k]
+                found[i, at, 4 * c] = first
+                found[i, at, 4 * c + 1] = right - first
+                found[i, at, 4 * c + 2] = down - first
+                found[i, at, 4 * c + 3] = value[at + columns + 1, k] - down - (right - first)
+
+
+@compiled
 def _stand(strip: Strip, optics: Optics, row: int, column: int, size: int, of: Array) -> None:
     """Where the pixels of a block are on the surface, and whether inside the mask."""
     y = strip.y[row]

@@ -23,7 +23,9 @@ if _settings.CPU_FEATURES is None and "+avx512vbmi," in _host:
 
 def compiling(**options: Any) -> Callable[[Function], Function]:
     """A decorator that compiles a function when it is first called, and keeps it on disk for the next process."""
-    decorator: Callable[[Function], Function] = numba.njit(cache=True, nogil=True, error_model="numpy", **options)
+    decorator: Callable[[Function], Function] = numba.njit(
+        cache=True, nogil=True, error_model="numpy", **options
+    )
     return decorator
 
 

@@ -19,7 +19,7 @@ from nlights_core import compiled_fits
 from nlights_core.agreement import AgreementMeter
 from nlights_core.band_threads import cores, in_order
 from nlights_core.compiled_delivery import solve_strip
-from nlights_core.compiled_development import COUNTED, SCRATCH, develop
+from nlights_core.compiled_development import COUNTED, SCRATCH, cells, develop
 from nlights_core.compiled_fits import BLOCK
 from nlights_core.development import Band, Darkroom, Exposure, Rows, grey_shares
 from nlights_core.fields import LightField
@@ -263,13 +263,11 @@ class FusedSolver:
 
 def _cells(logarithm: Array) -> Array:
     """What `Optics.plate` is, of a plate's natural logarithm (L, H, W, C)."""
-    lamps, rows, columns, _ = logarithm.shape
-    value = np.broadcast_to(-logarithm / np.log(2), (lamps, rows, columns, 3)).astype(np.float32)
-    cells = np.zeros((*value.shape, 4), np.float32)
-    first, right = value[:, :-1, :-1], value[:, :-1, 1:] - value[:, :-1, :-1]
-    down = value[:, 1:, :-1] - first
-    cells[:, :-1, :-1] = np.stack([first, right, down, value[:, 1:, 1:] - value[:, 1:, :-1] - right], axis=-1)
-    return cells.reshape(lamps, rows * columns, 12)
+    lamps, rows, columns, channels = logarithm.shape
+    value = (logarithm * (-1 / np.log(2))).astype(np.float32)
+    found = np.zeros((lamps, rows * columns, 12), np.float32)
+    cells(value.reshape(lamps, rows * columns, channels), columns, found)
+    return found
 
 
 def _thinned(strip: Strip, row: int, column: int, step: int) -> Strip:
