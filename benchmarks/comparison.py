@@ -4,7 +4,6 @@ Run: python benchmarks/comparison.py [--width N]
 """
 
 import argparse
-import shutil
 import tempfile
 from pathlib import Path
 
@@ -81,8 +80,6 @@ def main() -> None:
                 f"| `{name}` | {error['angle_mean_deg']:.3f}, {error['angle_median_deg']:.3f} | "
                 f"{error['height_rms_mm']:.3f}, {error['height_max_mm']:.3f} |"
             )
-            if name != "paper":
-                shutil.copyfile(outcome.folder / "report.html", PLACE / f"{name}-report.html")
     heights(found, 500.0).savefig(PLACE / "heights.png", dpi=80, metadata={"Software": None})
     profile(found, 500.0).savefig(PLACE / "profile.png", dpi=80, metadata={"Software": None})
 
