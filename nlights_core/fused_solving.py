@@ -170,7 +170,8 @@ class FusedSolver:
         if room.mask is not None:
             inside = (room.mask.band(start, stop).max(axis=-1) > 0).astype(np.uint8)
         if self.height is not None:
-            height = np.array(self.height[start:stop], np.float32)
+            # What is read-only would be another type to the kernel, and compiled once more.
+            height = np.require(self.height[start:stop], np.float32, ["C", "W"])
         x, y = room.grid.x().astype(np.float32), room.grid.y(start, stop).astype(np.float32)
         return Strip(numbers, inside, height, x, y)
 
