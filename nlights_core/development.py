@@ -355,7 +355,9 @@ def _related(
         seen = 1 + ((pixels[0] - np.float32(x)) ** 2 + (pixels[1] - np.float32(y)) ** 2) * np.float32(z**-2)
     place, least = np.array([plate.left, plate.top, plate.step]), 1e-6 * plate.brightest
     for i, position in enumerate(lights.positions):
-        own = np.require(plate.logarithm[i], np.float32, ["C", "W"])
+        # A computed plate has one channel, whatever the photographs have.
+        own = np.broadcast_to(plate.logarithm[i], (*plate.logarithm.shape[1:3], images.shape[-1]))
+        own = np.require(own, np.float32, ["C", "W"])
         relate(
             points, position, own, place, lens, seen, photons[i], least, images[i], weights[i], relative[i]
         )

@@ -176,6 +176,10 @@ def test_under_distant_lamps_both_agree(tile, tmp_path, monkeypatch):
     assert_both_agree(tile, tmp_path, monkeypatch, lights=lights, surface=height(tile))
 
 
+def test_with_a_plate_of_one_channel_for_all_colours_both_agree(tile, tmp_path, monkeypatch):
+    assert_both_agree(tile, tmp_path, monkeypatch, flat=plate(tile, 1), surface=height(tile))
+
+
 def test_both_remove_a_bias_alike(tile, tmp_path, monkeypatch):
     bias = np.zeros((150, 200, 3), np.float32)
     bias[..., 0] = 0.02

@@ -58,6 +58,18 @@ def test_compiled_development_is_that_of_numpy(scene, tmp_path, monkeypatch, rai
     assert not compiled.weights[2, :5].any()
 
 
+def test_a_plate_of_one_channel_divides_every_colour(scene, tmp_path, monkeypatch):
+    tile, field, flat = scene
+    grey = flat.logarithm.mean(axis=-1, keepdims=True)
+    computed = type(flat)(grey, flat.left, flat.top, flat.step, flat.camera, flat.vignetting)
+    with darkroom(tile, tmp_path) as room:
+        raw = room.raw(0, 20, field)
+        compiled, plain = by_both(monkeypatch, lambda: room.develop(raw, field, computed))
+    assert plain.images.shape[-1] == 3
+    for name in ("images", "lights", "grey", "weights"):
+        np.testing.assert_allclose(getattr(compiled, name), getattr(plain, name), rtol=1e-5, atol=1e-6)
+
+
 def test_a_plate_that_is_dark_somewhere_leaves_the_sample_out_in_either_way(scene, tmp_path, monkeypatch):
     tile, field, flat = scene
     logarithm = flat.logarithm.copy()
