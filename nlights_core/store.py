@@ -13,21 +13,28 @@ import json
 import os
 import shutil
 import socket
+import threading
 import time
 import uuid
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from blake3 import blake3
+from xxhash import xxh3_128
 
 from nlights_core.algorithms import Algorithm
 from nlights_core.errors import CaptureError, TileError
 from nlights_core.registry import code_digest, core_digest, installed
 
 RECORD = "artefact.json"
+
+CHUNK = 1 << 20
+"""Bytes that are hashed at a time: they fit into a core's cache, and seldom ask for Python's lock."""
+
+_reading: dict[Path, threading.Lock] = {}
+"""Of files whose digest somebody of this process asked for: who asks meanwhile waits instead of reading too."""
 
 
 @dataclass(frozen=True)
@@ -167,30 +174,35 @@ class Store:
             shutil.rmtree(own, ignore_errors=True)
 
     def digest(self, path: Path) -> str:
-        """BLAKE3 digest of a file's content, 64 hexadecimal digits; remembered by path, size and time of change.
+        """XXH3 digest of a file's content, 32 hexadecimal digits; remembered by path, size and time of change.
 
         Raises
         ------
         TileError
             When the file cannot be read.
         """
-        try:
-            status = path.stat()
-            memory = self.root / ".digests" / hashlib.sha256(str(path).encode()).hexdigest()[:32]
-            stamp = f"{status.st_size} {status.st_mtime_ns} {status.st_ctime_ns} {status.st_ino}"
+        with _reading.setdefault(path, threading.Lock()):
             try:
-                known, _, digest = memory.read_text().partition("\n")
-                if known == stamp and len(digest) == 64:
-                    return digest
-            except OSError:
-                pass
-            with path.open("rb", buffering=0) as file:
-                digest = hashlib.file_digest(file, blake3).hexdigest()  # type: ignore[arg-type]
-        except OSError as fault:
-            reason = "there is no such file" if isinstance(fault, FileNotFoundError) else fault.strerror
-            raise TileError(
-                f"{path}: cannot be read ({reason}); put the photograph there or correct its name"
-            ) from fault
+                return self._digest(path)
+            except OSError as fault:
+                reason = "there is no such file" if isinstance(fault, FileNotFoundError) else fault.strerror
+                raise TileError(
+                    f"{path}: cannot be read ({reason}); put the photograph there or correct its name"
+                ) from fault
+
+    def _digest(self, path: Path) -> str:
+        status = path.stat()
+        memory = self.root / ".digests" / hashlib.sha256(str(path).encode()).hexdigest()[:32]
+        stamp = f"{status.st_size} {status.st_mtime_ns} {status.st_ctime_ns} {status.st_ino}"
+        with suppress(OSError):
+            known, _, digest = memory.read_text().partition("\n")
+            if known == stamp and len(digest) == 32:
+                return digest
+        content, chunk = xxh3_128(), memoryview(bytearray(CHUNK))
+        with path.open("rb", buffering=0) as file:
+            while count := file.readinto(chunk):
+                content.update(chunk[:count])
+        digest = content.hexdigest()
         if self.root.is_dir():
             write_whole(memory, f"{stamp}\n{digest}")
         return digest

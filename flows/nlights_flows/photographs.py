@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from nlights_core.band_threads import in_order
+from nlights_core.band_threads import cores
 from nlights_core.capture import Tile
 from nlights_core.errors import TileError
 from nlights_core.recipe import Recipe
@@ -29,35 +32,47 @@ class Photographs:
     store, tile : Store, Tile
         Whose.
     stamps : dict
-        By file, its stamp and the digest of its content.
+        By file, its stamp and the digest of that content, which may still be under way; None where it could
+        not be found, because the file cannot be read or became another.
     artefacts : frozenset of Path
         What the store had of this tile and of its flats.
     """
 
     store: Store
     tile: Tile
-    stamps: dict[Path, tuple[Stamp, str]]
+    stamps: dict[Path, tuple[Stamp, Future[str | None]]]
     artefacts: frozenset[Path]
 
     @classmethod
-    def of(cls, tile: Tile, recipe: Recipe, store: Store) -> Photographs:
-        """Look at the photographs that a recipe reads.
+    @contextmanager
+    def watched(cls, tile: Tile, recipe: Recipe, store: Store) -> Iterator[Photographs]:
+        """Look at the photographs that a recipe reads, for as long as it runs.
 
-        The digests are those that the stages ask for anyway, so a file is read once.
+        The digests are those that the stages ask for anyway, so a file is read once.  They are found
+        beside the stages, in the order in which they are asked for: a plate needs those of the flats.
         """
         flats = any("flats" in algorithm.needs for algorithm in recipe.algorithms())
-        paths = [*tile.frames.values(), *((tile.flats or {}).values() if flats else ())]
-        paths += [path for path in (tile.dark, tile.mask) if path]
+        paths = [
+            *((tile.flats or {}).values() if flats else ()),
+            *(path for path in (tile.dark, tile.mask) if path),
+        ]
+        paths += tile.frames.values()
 
-        def seen(path: Path) -> tuple[Stamp, str] | None:
-            try:
-                return _stamp(path), store.digest(path)
-            except (OSError, TileError):
-                return None  # the stage that reads it will say what is wrong
+        def digest(path: Path, stamp: Stamp) -> str | None:
+            with suppress(OSError, TileError):  # the stage that reads it will say what is wrong
+                found = store.digest(path)
+                return found if _stamp(path) == stamp else None
+            return None
 
-        found = zip(paths, in_order(seen, paths), strict=True)
-        stamps = {path: known for path, known in found if known}
-        return cls(store, tile, stamps, frozenset(_artefacts(store, tile)))
+        pool = ThreadPoolExecutor(cores(), thread_name_prefix="digests")
+        stamps = {}
+        try:
+            for path in paths:
+                with suppress(OSError):
+                    stamps[path] = (stamp := _stamp(path)), pool.submit(digest, path, stamp)
+            yield cls(store, tile, stamps, frozenset(_artefacts(store, tile)))
+        finally:
+            pool.shutdown(cancel_futures=True)
 
     def require_unchanged(self) -> None:
         """Refuse a tile of which a photograph is not what it was.
@@ -80,9 +95,9 @@ class Photographs:
             "them; run again when the upload is complete"
         )
 
-    def _same(self, path: Path, stamp: Stamp, digest: str) -> bool:
+    def _same(self, path: Path, stamp: Stamp, digest: Future[str | None]) -> bool:
         try:
-            return _stamp(path) == stamp or self.store.digest(path) == digest
+            return _stamp(path) == stamp or self.store.digest(path) == digest.result()
         except (OSError, TileError):
             return False
 

@@ -97,9 +97,9 @@ def run_tile(
     if lacking := recipe.lacking(tile):
         raise TileError("; ".join(lacking))
     require_memory(tile, recipe)
-    photographs = Photographs.of(tile, recipe, store)
-    refs = digitise_tile(tile, recipe, call, compression)
-    photographs.require_unchanged()
+    with Photographs.watched(tile, recipe, store) as photographs:
+        refs = digitise_tile(tile, recipe, call, compression)
+        photographs.require_unchanged()
     return publish(store, tile, refs, out)
 
 

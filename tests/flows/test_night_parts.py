@@ -233,11 +233,12 @@ def test_a_photograph_that_is_replaced_while_its_tile_runs_fails_the_tile(captur
 def test_a_photograph_that_is_only_touched_or_copied_over_itself_is_the_same(capture, tmp_path):
     (tile,), store = load_capture(capture), Store(tmp_path / "store")
     store.prepare()
-    seen = Photographs.of(tile, load_recipe("default"), store)
-    shutil.copy(capture / "light_1.tif", capture / "again.tif")
-    (capture / "again.tif").replace(capture / "light_1.tif")
-    os.utime(capture / "dark.tif")
-    made = store.root / tile.artwork / tile.name / "height-0123456789ab"
-    made.mkdir(parents=True)
-    seen.require_unchanged()
+    with Photographs.watched(tile, load_recipe("default"), store) as seen:
+        assert all(digest.result() for _, digest in seen.stamps.values())
+        shutil.copy(capture / "light_1.tif", capture / "again.tif")
+        (capture / "again.tif").replace(capture / "light_1.tif")
+        os.utime(capture / "dark.tif")
+        made = store.root / tile.artwork / tile.name / "height-0123456789ab"
+        made.mkdir(parents=True)
+        seen.require_unchanged()
     assert made.exists()  # what was made of these photographs is kept
