@@ -19,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 import scipy.fft
+from digest_delays import DELAYS, digest_delay
 from full_size_capture import write_capture
 from stage_rates import SOLVERS, integration_ratio, normals_rate, raw_transforms
 from tables import Table, write
@@ -36,13 +37,14 @@ def main() -> None:
     parser.add_argument("--work", type=Path, help="folder for some 35 GB, a temporary one by default")
     parser.add_argument("--out", type=Path, default=DOCS, help="folder of performance.md and .json")
     wanted = parser.parse_args()
-    rows, growth, rates = [], [], []
+    rows, growth, rates, delays = [], [], [], []
     with tempfile.TemporaryDirectory(dir=wanted.work) as place:
         for size in wanted.sizes:
             measured = _measure(Path(place) / "one", size, wanted.recipe)
             rows += _rows(measured)
             growth.append(_summary(measured))
             rates.append((f"{measured['pixels']:.0f}", *measured["rates"].values()))
+            delays.append(_delays(measured))
             shutil.rmtree(Path(place) / "one")
     made = {
         "date": datetime.date.today().isoformat(),
@@ -56,6 +58,7 @@ def main() -> None:
     tables = [
         Table("totals", totals, growth),
         Table("rates", alone, rates),
+        Table("store", ("size, Mpx", *(f"{name}, {unit}" for name in DELAYS for unit in ("s", "%"))), delays),
         Table("steps", columns, rows),
     ]
     write(wanted.out, "performance", tables, made)
@@ -83,7 +86,8 @@ def _measure(folder: Path, megapixels: float, recipe: str) -> dict:
     store = folder / "out" / ".store"
     rates = {f"normals, {name}, Mpx/s": normals_rate(folder / "capture", store, name) for name in SOLVERS}
     rates["simchony / two raw transforms"] = integration_ratio(folder / "capture", store)
-    stages["start, digests of the photographs"] = seconds - sum(stages.values())
+    delays = {name: digest_delay(folder, recipe, further=further) for name, further in DELAYS.items()}
+    stages["start and end"] = seconds - sum(stages.values())
     for name, value in floor.items():
         print(f"  floor: {name}: {value:.1f} s", flush=True)
     print(f"  chain: {seconds:.1f} s, peak {peak / 2**30:.2f} GiB; again {again:.1f} s", flush=True)
@@ -95,6 +99,7 @@ def _measure(folder: Path, megapixels: float, recipe: str) -> dict:
         "peak": peak,
         "again": again,
         "rates": rates,
+        "delays": delays,
     }
 
 
@@ -120,6 +125,14 @@ def _summary(measured: dict) -> tuple:
         measured["peak"] / 2**30,
         measured["again"],
     )
+
+
+def _delays(measured: dict) -> tuple:
+    """What the digests cost, and that as a share of the chain in percent."""
+    shares = [
+        one for delay in measured["delays"].values() for one in (delay, 100 * delay / measured["seconds"])
+    ]
+    return (f"{measured['pixels']:.0f}", *shares)
 
 
 def _forget(capture: Path) -> None:

@@ -3,9 +3,11 @@
 import errno
 import json
 import os
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from xxhash import xxh3_128
 
 from nlights_core.arrays import BandWriter, read_array
 from nlights_core.errors import CaptureError, TileError
@@ -106,6 +108,23 @@ def test_a_digest_follows_the_content_and_is_remembered(tmp_path):
     path.unlink()
     with pytest.raises(TileError, match="photograph"):
         store.digest(path)
+
+
+def test_a_digest_that_many_ask_for_at_once_is_found_once(tmp_path, monkeypatch):
+    store, path, begun = Store(tmp_path / "store"), tmp_path / "photograph", []
+    store.prepare()
+    path.write_bytes(bytes(64 << 20))
+
+    def counted():
+        begun.append(path)
+        return xxh3_128()
+
+    monkeypatch.setattr("nlights_core.store.xxh3_128", counted)
+    with ThreadPoolExecutor(8) as pool:
+        # Each with a store of its own, as tasks have.
+        digests = list(pool.map(lambda _: Store(store.root).digest(path), range(8)))
+    assert digests == [xxh3_128(path.read_bytes()).hexdigest()] * 8
+    assert len(begun) == 1
 
 
 def test_planning_in_a_store_that_is_not_there_writes_nothing(tmp_path):
