@@ -19,6 +19,8 @@ def prepare() -> None:
     """Set what is not set already; call before importing prefect."""
     for name, value in QUIET.items():
         os.environ.setdefault(name, value)
+    if not os.environ.get("PREFECT_API_URL"):  # empty, it means none, which Prefect takes for an address
+        os.environ.pop("PREFECT_API_URL", None)
 
 
 def api_configured() -> bool:

@@ -48,8 +48,16 @@ class Photographs:
     def watched(cls, tile: Tile, recipe: Recipe, store: Store) -> Iterator[Photographs]:
         """Look at the photographs that a recipe reads, for as long as it runs.
 
+        A tile of which a photograph is not what it was has failed, whatever else became of it: what seems
+        damaged may only be half-way here.
+
         The digests are those that the stages ask for anyway, so a file is read once.  They are found
         beside the stages, in the order in which they are asked for: a plate needs those of the flats.
+
+        Raises
+        ------
+        TileError
+            Naming the photographs that changed; the artefacts that were made meanwhile are gone from the store.
         """
         flats = any("flats" in algorithm.needs for algorithm in recipe.algorithms())
         paths = [
@@ -70,27 +78,32 @@ class Photographs:
             for path in paths:
                 with suppress(OSError):
                     stamps[path] = (stamp := _stamp(path)), pool.submit(digest, path, stamp)
-            yield cls(store, tile, stamps, frozenset(_artefacts(store, tile)))
+            seen = cls(store, tile, stamps, frozenset(_artefacts(store, tile)))
+            try:
+                yield seen
+            except BaseException as fault:
+                changed = seen._changed()
+                if changed and isinstance(
+                    fault, Exception
+                ):  # else somebody stops the run, and is not held up
+                    raise changed from fault
+                raise
+            if changed := seen._changed():
+                raise changed
         finally:
             pool.shutdown(cancel_futures=True)
 
-    def require_unchanged(self) -> None:
-        """Refuse a tile of which a photograph is not what it was.
-
-        Raises
-        ------
-        TileError
-            Naming them; the artefacts that were made meanwhile are gone from the store.
-        """
+    def _changed(self) -> TileError | None:
+        """What to say of photographs that are not what they were; what was made meanwhile is gone then."""
         changed = [path for path, seen in self.stamps.items() if not self._same(path, *seen)]
         if not changed:
-            return
+            return None
         # Nobody can tell what they were made of; deleting artefacts is always safe.
         for folder in _artefacts(self.store, self.tile) - self.artefacts:
             shutil.rmtree(folder, ignore_errors=True)
         names = ", ".join(path.name for path in changed[:3])
         more = f" and {len(changed) - 3} more" if len(changed) > 3 else ""
-        raise TileError(
+        return TileError(
             f"{changed[0].parent}: its photographs were changed while it ran ({names}{more}); nothing was made of "
             "them; run again when the upload is complete"
         )

@@ -97,9 +97,8 @@ def run_tile(
     if lacking := recipe.lacking(tile):
         raise TileError("; ".join(lacking))
     require_memory(tile, recipe)
-    with Photographs.watched(tile, recipe, store) as photographs:
+    with Photographs.watched(tile, recipe, store):
         refs = digitise_tile(tile, recipe, call, compression)
-        photographs.require_unchanged()
     return publish(store, tile, refs, out)
 
 
