@@ -52,18 +52,8 @@ def _clear(store: Path, flats_stay: bool) -> None:
 
 def _seconds(folder: Path, recipe: str) -> float:
     """Seconds from the command to the end of its stage `LAST`; what comes after is not awaited."""
-    command = [
-        Path(sys.executable).parent / "nlights",
-        "digitise",
-        folder / "capture",
-        "--out",
-        folder / "out",
-    ]
-    environment = {**os.environ, "PREFECT_API_URL": ""}
     started = time.monotonic()
-    with subprocess.Popen(
-        [*command, "--recipe", recipe], stderr=subprocess.PIPE, text=True, env=environment
-    ) as process:
+    with digitising(folder, recipe) as process:
         assert process.stderr is not None
         said = next((line for line in process.stderr if re.match(rf"\S+: {LAST}: ", line)), None)
         seconds = time.monotonic() - started
@@ -71,3 +61,14 @@ def _seconds(folder: Path, recipe: str) -> float:
     if said is None:
         raise SystemExit(f"nlights digitise ended with {process.returncode} before its stage {LAST}")
     return seconds
+
+
+def digitising(folder: Path, recipe: str) -> subprocess.Popen[str]:
+    """The command, started on the folder's capture without Prefect; what it says is in its ``stderr``."""
+    options = ["--out", folder / "out", "--recipe", recipe]
+    return subprocess.Popen(
+        [Path(sys.executable).parent / "nlights", "digitise", folder / "capture", *options],
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PREFECT_API_URL": ""},
+    )

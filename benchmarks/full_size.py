@@ -10,8 +10,6 @@ import datetime
 import os
 import re
 import shutil
-import subprocess
-import sys
 import tempfile
 import threading
 import time
@@ -19,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 import scipy.fft
-from digest_delays import DELAYS, digest_delay
+from digest_delays import DELAYS, digest_delay, digitising
 from full_size_capture import write_capture
 from stage_rates import SOLVERS, integration_ratio, normals_rate, raw_transforms
 from tables import Table, write
@@ -186,18 +184,8 @@ def _copy(size: int) -> float:
 
 def _digitise(folder: Path, recipe: str) -> tuple[dict[str, float], float, int]:
     """Run the command; seconds per stage, in all, and the peak of the memory that is not page cache."""
-    command = [
-        Path(sys.executable).parent / "nlights",
-        "digitise",
-        folder / "capture",
-        "--out",
-        folder / "out",
-    ]
-    environment = {**os.environ, "PREFECT_API_URL": ""}
     started = time.monotonic()
-    process = subprocess.Popen(
-        [*command, "--recipe", recipe], stderr=subprocess.PIPE, text=True, env=environment
-    )
+    process = digitising(folder, recipe)
     peak, ended = [0], threading.Event()
     watcher = threading.Thread(target=_watch, args=(process.pid, peak, ended))
     watcher.start()
