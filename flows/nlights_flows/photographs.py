@@ -83,9 +83,7 @@ class Photographs:
                 yield seen
             except BaseException as fault:
                 changed = seen._changed()
-                if changed and isinstance(
-                    fault, Exception
-                ):  # else somebody stops the run, and is not held up
+                if changed and isinstance(fault, Exception):  # who stops a run is told nothing else
                     raise changed from fault
                 raise
             if changed := seen._changed():
