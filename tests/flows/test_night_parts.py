@@ -13,7 +13,7 @@ from nlights_core.errors import CaptureError, TileError
 from nlights_core.manifest import load_capture
 from nlights_core.recipe import load_recipe
 from nlights_core.store import Store
-from nlights_flows import running
+from nlights_flows import environment, running
 from nlights_flows.claims import Claims
 from nlights_flows.night_charts import chart
 from nlights_flows.night_estimates import Deadline, learnt
@@ -259,3 +259,12 @@ def test_a_photograph_that_is_only_touched_or_copied_over_itself_is_the_same(cap
         made = store.root / tile.artwork / tile.name / "height-0123456789ab"
         made.mkdir(parents=True)
     assert made.exists()  # what was made of these photographs is kept
+
+
+def test_an_empty_address_of_the_api_means_none(monkeypatch):
+    monkeypatch.setenv("PREFECT_API_URL", "")
+    environment.prepare()
+    assert "PREFECT_API_URL" not in os.environ
+    monkeypatch.setenv("PREFECT_API_URL", "http://127.0.0.1:4200/api")
+    environment.prepare()
+    assert os.environ["PREFECT_API_URL"] == "http://127.0.0.1:4200/api"
