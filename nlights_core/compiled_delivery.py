@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from nlights_core.compiled_choices import fit_blocks
 from nlights_core.compiled_development import (
     INVERSE,
     LIGHT,
@@ -15,11 +16,10 @@ from nlights_core.compiled_development import (
     SHADOWED,
     develop,
 )
-from nlights_core.compiled_fits import BLOCK, ONE, TRIAL, ZERO, Work, X, Y, Z, compiled, copy
-from nlights_core.compiled_reweighting import fit_blocks
-from nlights_core.compiled_solutions import NORMAL, RESIDUAL, UNCERTAINTY, solve_blocks
+from nlights_core.compiled_fits import BLOCK, ONE, TRIAL, VALUE, ZERO, Work, X, Y, Z, compiled, copy
+from nlights_core.compiled_solutions import ALBEDO, NORMAL, RESIDUAL, UNCERTAINTY, solve_blocks
 from nlights_core.frames import Array
-from nlights_core.kernels import Images
+from nlights_core.kernels import Images, Rule
 from nlights_core.strips import Blocks, Optics, Strip
 
 # Of the scratch of a block: sums of w s^2 and of what a flat surface would show; number of used lights.
@@ -61,6 +61,44 @@ def deliver(blocks: Blocks, found: Array, first: int, white: np.float32, images:
         _count(of[_USED:], images.used[row, here])
         _count(blocks.counts[block, SATURATED:], images.saturated[row, here])
         _count(blocks.counts[block, SHADOWED:], images.shadow[row, here])
+
+
+@compiled
+def take(
+    samples: Array, normals: Array, albedo: Array, confidence: Array, weights: Array, found: Array
+) -> None:
+    """Put what a solver of plain arrays found into blocks, as `deliver` wants it.
+
+    Parameters
+    ----------
+    samples : (S, L, SAMPLE) array
+        Developed.  Their `TRIAL` becomes the weight that the solver says.
+    normals, albedo, confidence, weights : (h, w, 3), (h, w), (h, w), (L, h, w) float32 arrays
+        See `nlights_core.algorithms.Solution`.
+    found : (S, FOUND) array
+        Receives the solution, and its residual.
+    """
+    columns = albedo.shape[1]
+    across = (columns + BLOCK - 1) // BLOCK
+    for block in range(len(found)):
+        row, column = block // across, block % across * BLOCK
+        of = found[block]
+        of[:] = np.float32(np.nan)
+        for p in range(min(columns - column, BLOCK)):
+            for k in range(3):
+                of[NORMAL + k * BLOCK + p] = normals[row, column + p, k]
+            of[ALBEDO + p] = albedo[row, column + p]
+            of[UNCERTAINTY + p] = confidence[row, column + p]
+            total, squares = ZERO, ZERO
+            for i in range(len(weights)):
+                sample, weight = samples[block, i], weights[i, row, column + p]
+                shown = sample[X + p] * of[NORMAL + p] + sample[Y + p] * of[NORMAL + BLOCK + p]
+                shown += sample[Z + p] * of[NORMAL + 2 * BLOCK + p]
+                missed = sample[VALUE + p] - of[ALBEDO + p] * shown
+                sample[TRIAL + p] = weight
+                total += weight
+                squares += weight * missed * missed if weight > ZERO else ZERO
+            of[RESIDUAL + p] = np.sqrt(squares / total) / of[ALBEDO + p]
 
 
 @compiled
@@ -129,8 +167,7 @@ def solve_strip(
     optics: Optics,
     shadow: np.float32,
     lit: np.float32,
-    condition: float,
-    robust: bool,
+    rule: Rule,
     white: np.float32,
     blocks: Blocks,
     work: Work,
@@ -142,10 +179,8 @@ def solve_strip(
     ----------
     strip, optics, shadow, lit, blocks
         As for `develop`.
-    condition : float
-        As for `nlights_core.compiled_solutions.solve_blocks`.
-    robust : bool
-        As for `nlights_core.compiled_fits.fit_blocks`.
+    rule : Rule
+        Whose work is done.
     white : float32
         As for `deliver`.
     work : Work
@@ -156,6 +191,6 @@ def solve_strip(
     across = (len(strip.x) + BLOCK - 1) // BLOCK
     for first in range(0, len(strip.y) * across, len(work.samples)):
         develop(strip, optics, first, shadow, lit, blocks)
-        fit_blocks(work, robust)
-        solve_blocks(work, condition)
+        fit_blocks(work, rule)
+        solve_blocks(work, rule.condition)
         deliver(blocks, work.found, first, white, images)

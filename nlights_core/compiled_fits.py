@@ -39,6 +39,9 @@ TINY = np.float32(np.finfo(np.float32).tiny)
 INFINITE_BITS = np.int32(0x7F800000)
 ZERO, ONE = np.float32(0), np.float32(1)
 
+SURE = np.float32(1e-3)
+"""Determinant of a normal matrix of trace 1 from which single precision is good enough."""
+
 
 class Work(NamedTuple):
     """What is known of the pixels of some blocks, and room to work in.
@@ -93,7 +96,10 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
 
 def _digest() -> str:
     """Of all that compiled code is made from."""
-    own = (f"compiled_{name}.py" for name in ("fits", "reweighting", "solutions", "development", "delivery"))
+    own = (
+        f"compiled_{name}.py"
+        for name in ("fits", "reweighting", "choices", "solutions", "development", "delivery")
+    )
     files = map(
         Path(__file__).with_name,
         (*own, "strips.py", "kernels.py", "algorithms.py", "least_squares.py", "robust_fitting.py"),
@@ -176,11 +182,29 @@ def corrected(fit: Array) -> None:
         fit[SCALED + 2 * BLOCK + p] += xz * x + yz * y + zz * z
 
 
+@compiled
+def surely_determined(condition: float) -> Any:
+    """Determinant of a normal matrix of trace 1 above which it is conditioned well enough."""
+    # Of eigenvalues that sum up to 1 no two have a product above 1/4: so the smallest is at least four
+    # times the determinant, and the largest at most 1.
+    return max(SURE, np.float32(0.3 / condition**2))
+
+
 @numba.njit(inline="always")
 def missed_by(of: Array, fit: Array, p: int) -> Any:
     """What a sample shows beyond a fit."""
     shown = of[X + p] * fit[SCALED + p] + of[Y + p] * fit[SCALED + BLOCK + p]
     return of[VALUE + p] - (shown + of[Z + p] * fit[SCALED + 2 * BLOCK + p])
+
+
+@numba.njit(inline="always")
+def leverage(of: Array, fit: Array, p: int) -> Any:
+    """How strongly a sample of weight 1 would determine its own prediction by a fit, whose inverse is known."""
+    x, y, z = of[X + p], of[Y + p], of[Z + p]
+    xx, xy, xz = fit[MATRIX + p], fit[MATRIX + BLOCK + p], fit[MATRIX + 2 * BLOCK + p]
+    yy, yz, zz = fit[MATRIX + 3 * BLOCK + p], fit[MATRIX + 4 * BLOCK + p], fit[MATRIX + 5 * BLOCK + p]
+    own = xx * x * x + yy * y * y + zz * z * z
+    return own + np.float32(2) * (xy * x * y + xz * x * z + yz * y * z)
 
 
 @compiled
@@ -196,3 +220,54 @@ def refined(samples: Array, fit: Array) -> None:
             fit[RIGHT + BLOCK + p] += missed * of[Y + p]
             fit[RIGHT + 2 * BLOCK + p] += missed * of[Z + p]
     corrected(fit)
+
+
+@compiled
+def solved_exactly(samples: Array, fit: Array, p: int, which: int, condition: float) -> bool:
+    """Solve one pixel in double precision with the weights that begin at ``which``.
+
+    False, and nothing is changed, where it cannot be known: of fewer than three samples, or badly spread ones.
+    """
+    xx = xy = xz = yy = yz = zz = vx = vy = vz = 0.0
+    count = 0
+    for i in range(len(samples)):
+        weight = np.float64(samples[i, which + p])
+        x, y, z = np.float64(samples[i, X + p]), np.float64(samples[i, Y + p]), np.float64(samples[i, Z + p])
+        value = weight * samples[i, VALUE + p]
+        count += 1 if weight > 0 else 0
+        xx += weight * x * x
+        xy += weight * x * y
+        xz += weight * x * z
+        yy += weight * y * y
+        yz += weight * y * z
+        zz += weight * z * z
+        vx += value * x
+        vy += value * y
+        vz += value * z
+    ixx, ixy, ixz = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
+    iyy, iyz, izz = xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy
+    determinant = xx * ixx + xy * ixy + xz * ixz
+    if count < 3 or not determinant > 0 or not _well(xx, xy, xz, yy, yz, zz, condition):
+        return False
+    inverse = (ixx / determinant, ixy / determinant, ixz / determinant)
+    lower = (iyy / determinant, iyz / determinant, izz / determinant)
+    for k in range(3):
+        fit[MATRIX + k * BLOCK + p] = inverse[k]
+        fit[MATRIX + (k + 3) * BLOCK + p] = lower[k]
+    fit[SCALED + p] = inverse[0] * vx + inverse[1] * vy + inverse[2] * vz
+    fit[SCALED + BLOCK + p] = inverse[1] * vx + lower[0] * vy + lower[1] * vz
+    fit[SCALED + 2 * BLOCK + p] = inverse[2] * vx + lower[1] * vy + lower[2] * vz
+    return True
+
+
+@compiled
+def _well(xx: float, xy: float, xz: float, yy: float, yz: float, zz: float, condition: float) -> Any:
+    """Whether a matrix is conditioned well enough: `least_squares.eigenvalues`, of one matrix."""
+    mean = (xx + yy + zz) / 3
+    a, b, c = xx - mean, yy - mean, zz - mean
+    spread = np.sqrt((a * a + b * b + c * c + 2 * (xy * xy + xz * xz + yz * yz)) / 6)
+    determinant = a * (b * c - yz * yz) - xy * (xy * c - yz * xz) + xz * (xy * yz - b * xz)
+    cosine = determinant / (2 * spread**3) if spread > 0 else 1.0
+    angle = np.arccos(min(max(cosine, -1.0), 1.0)) / 3
+    smallest = mean + 2 * spread * np.cos(angle + 2 * np.pi / 3)
+    return smallest > 0 and mean + 2 * spread * np.cos(angle) <= condition**2 * smallest

@@ -23,16 +23,13 @@ from nlights_core.compiled_fits import (
     USABLE,
     ZERO,
     Work,
-    X,
-    Y,
-    Z,
     add_sample,
     compiled,
     copy,
     inverted,
+    leverage,
     missed_by,
     normal_equations,
-    refined,
 )
 from nlights_core.frames import Array
 from nlights_core.robust_fitting import (
@@ -46,7 +43,6 @@ from nlights_core.robust_fitting import (
     TUKEY,
 )
 
-_TWO = np.float32(2)
 _PHOTONS, _DARKEST = np.float32(PHOTONS), np.float32(DARKEST)
 _MODEL_VARIANCE = np.float32(MODEL_ERROR**2)
 _SUSPICIOUS = np.float32(SUSPICIOUS**2)
@@ -232,12 +228,7 @@ def _without_worst(
     for i in range(len(samples)):
         of, expected, which = samples[i], precision[i], np.float32(i)
         for p in range(BLOCK):
-            x, y, z = of[X + p], of[Y + p], of[Z + p]
-            xx, xy, xz = fit[MATRIX + p], fit[MATRIX + BLOCK + p], fit[MATRIX + 2 * BLOCK + p]
-            yy, yz = fit[MATRIX + 3 * BLOCK + p], fit[MATRIX + 4 * BLOCK + p]
-            zz = fit[MATRIX + 5 * BLOCK + p]
-            own = xx * x * x + yy * y * y + zz * z * z
-            own += _TWO * (xy * x * y + xz * x * z + yz * y * z)
+            own = leverage(of, fit, p)
             surprise = missed_by(of, fit, p) * expected[p]
             fall = surprise * surprise / max(ONE - of[USABLE + p] * own, _SMALLEST_REST)
             worst[p] = which if fall > largest[p] else worst[p]
@@ -273,16 +264,13 @@ def _biweigh(samples: Array, missed: Array, per_reach: Array) -> None:
 
 
 @compiled
-def fit_blocks(work: Work, robust: bool) -> None:
-    """Fit all blocks; with ``robust``, what least squares cannot explain by `biweighted`.
+def reweigh_blocks(work: Work) -> None:
+    """Fit all blocks by least squares, and what those cannot explain by `biweighted`.
 
     Parameters
     ----------
     work : Work
-        Its samples have `VALUE`, `USABLE`, `TRIAL` and the light; `TRIAL` becomes the weight that
-        is used.  Its fits receive `SCALED`, the inverse in `MATRIX`, and `DETERMINANT`.
-    robust : bool
-        See above.
+        As for `nlights_core.compiled_choices.fit_blocks`.
     """
     samples, fits, rows = work.samples, work.fits, work.rows
     which, chosen, fewer = work.places[0], work.places[1], work.places[2]
@@ -290,7 +278,7 @@ def fit_blocks(work: Work, robust: bool) -> None:
     for block in range(len(samples)):
         normal_equations(samples[block], fits[block])
         inverted(fits[block])
-        found = doubtful(samples[block], fits[block], rows[0], rows[1], fewer) if robust else 0
+        found = doubtful(samples[block], fits[block], rows[0], rows[1], fewer)
         if found > BLOCK // 2:
             biweighted(samples[block], fits[block], work.noise, rows, work.quantiles)
             _undo_others(samples[block], fits[block], fewer[:found], rows[0])
@@ -303,8 +291,6 @@ def fit_blocks(work: Work, robust: bool) -> None:
                 waiting = 0
     if waiting:
         _reweigh(work, waiting)
-    for block in range(len(samples)):
-        refined(samples[block], fits[block])
 
 
 @compiled

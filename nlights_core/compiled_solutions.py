@@ -5,12 +5,11 @@ See `nlights_core.compiled_fits` for the blocks.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numba
 import numpy as np
 
 from nlights_core.algorithms import PHOTONS
+from nlights_core.compiled_choices import fit_blocks
 from nlights_core.compiled_fits import (
     BLOCK,
     DETERMINANT,
@@ -27,18 +26,17 @@ from nlights_core.compiled_fits import (
     Y,
     Z,
     compiled,
+    solved_exactly,
+    surely_determined,
 )
-from nlights_core.compiled_reweighting import fit_blocks
 from nlights_core.frames import Array
+from nlights_core.kernels import Rule
 from nlights_core.least_squares import COVERING, FORESEEN
 
 # Of a solution, in an array (FOUND,):
 NORMAL, ALBEDO, UNCERTAINTY, RESIDUAL = 0, 3 * BLOCK, 4 * BLOCK, 5 * BLOCK
 FOUND = 6 * BLOCK
 """Unit normal; albedo; uncertainty, degrees; weighted rms residual as a share of the albedo; size."""
-
-SURE = np.float32(1e-3)
-"""Determinant of a normal matrix of trace 1 from which single precision is good enough."""
 
 _FORESEEN, _PHOTONS = np.float32(FORESEEN), np.float32(PHOTONS)
 _DEGREES = np.float32(np.degrees(COVERING) / np.sqrt(2))
@@ -121,14 +119,12 @@ def solve_blocks(work: Work, condition: float) -> None:
     Parameters
     ----------
     work : Work
-        With the fits of `nlights_core.compiled_fits.fit_blocks`.  `TRIAL` of a sample becomes 0 where
+        With the fits of `nlights_core.compiled_choices.fit_blocks`.  `TRIAL` of a sample becomes 0 where
         the normal is not known; ``found`` receives the solution, NaN where not known.
     condition : float
         As for `nlights_core.least_squares.fit`.
     """
-    # Of eigenvalues that sum up to 1 no two have a product above 1/4: so the smallest is at least four
-    # times the determinant, and the largest at most 1.
-    sure = max(SURE, np.float32(0.3 / condition**2))
+    sure = surely_determined(condition)
     samples, fits, found, rows = work.samples, work.fits, work.found, work.fit
     for block in range(len(samples)):
         of, fit = samples[block], fits[block]
@@ -206,63 +202,15 @@ def _finish(fit: Array, rows: Array, found: Array) -> None:
 @compiled
 def _solve_exactly(samples: Array, fit: Array, p: int, condition: float) -> None:
     """Solve one pixel in double precision, by the trial weights or else by all usable samples."""
-    if _solved(samples, fit, p, TRIAL, condition):
+    if solved_exactly(samples, fit, p, TRIAL, condition):
         return
     differ = False
     for i in range(len(samples)):
         differ |= samples[i, TRIAL + p] != samples[i, USABLE + p]
         samples[i, TRIAL + p] = samples[i, USABLE + p]
-    if not (differ and _solved(samples, fit, p, USABLE, condition)):
+    if not (differ and solved_exactly(samples, fit, p, USABLE, condition)):
         for k in range(3):
             fit[SCALED + k * BLOCK + p] = _NAN
-
-
-@compiled
-def _solved(samples: Array, fit: Array, p: int, which: int, condition: float) -> bool:
-    """Solve one pixel with the weights that begin at ``which``; False where it cannot be known."""
-    xx = xy = xz = yy = yz = zz = vx = vy = vz = 0.0
-    count = 0
-    for i in range(len(samples)):
-        weight = np.float64(samples[i, which + p])
-        x, y, z = np.float64(samples[i, X + p]), np.float64(samples[i, Y + p]), np.float64(samples[i, Z + p])
-        value = weight * samples[i, VALUE + p]
-        count += 1 if weight > 0 else 0
-        xx += weight * x * x
-        xy += weight * x * y
-        xz += weight * x * z
-        yy += weight * y * y
-        yz += weight * y * z
-        zz += weight * z * z
-        vx += value * x
-        vy += value * y
-        vz += value * z
-    ixx, ixy, ixz = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
-    iyy, iyz, izz = xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy
-    determinant = xx * ixx + xy * ixy + xz * ixz
-    if count < 3 or not determinant > 0 or not _well(xx, xy, xz, yy, yz, zz, condition):
-        return False
-    inverse = (ixx / determinant, ixy / determinant, ixz / determinant)
-    lower = (iyy / determinant, iyz / determinant, izz / determinant)
-    for k in range(3):
-        fit[MATRIX + k * BLOCK + p] = inverse[k]
-        fit[MATRIX + (k + 3) * BLOCK + p] = lower[k]
-    fit[SCALED + p] = inverse[0] * vx + inverse[1] * vy + inverse[2] * vz
-    fit[SCALED + BLOCK + p] = inverse[1] * vx + lower[0] * vy + lower[1] * vz
-    fit[SCALED + 2 * BLOCK + p] = inverse[2] * vx + lower[1] * vy + lower[2] * vz
-    return True
-
-
-@compiled
-def _well(xx: float, xy: float, xz: float, yy: float, yz: float, zz: float, condition: float) -> Any:
-    """Whether a matrix is conditioned well enough: `least_squares.eigenvalues`, of one matrix."""
-    mean = (xx + yy + zz) / 3
-    a, b, c = xx - mean, yy - mean, zz - mean
-    spread = np.sqrt((a * a + b * b + c * c + 2 * (xy * xy + xz * xz + yz * yz)) / 6)
-    determinant = a * (b * c - yz * yz) - xy * (xy * c - yz * xz) + xz * (xy * yz - b * xz)
-    cosine = determinant / (2 * spread**3) if spread > 0 else 1.0
-    angle = np.arccos(min(max(cosine, -1.0), 1.0)) / 3
-    smallest = mean + 2 * spread * np.cos(angle + 2 * np.pi / 3)
-    return smallest > 0 and mean + 2 * spread * np.cos(angle) <= condition**2 * smallest
 
 
 @compiled
@@ -308,8 +256,7 @@ def solve_pixels(
     first: int,
     last: int,
     shadow: np.float32,
-    condition: float,
-    robust: bool,
+    rule: Rule,
     work: Work,
     normals: Array,
     albedo: Array,
@@ -319,6 +266,6 @@ def solve_pixels(
     """Solve pixels ``first`` to ``last`` of a row; parameters as for `load`, `solve_blocks`, `unload`."""
     for start in range(first, min(last, len(albedo)), len(work.samples) * BLOCK):
         load(images, lights, weights, start, shadow, work)
-        fit_blocks(work, robust)
-        solve_blocks(work, condition)
+        fit_blocks(work, rule)
+        solve_blocks(work, rule.condition)
         unload(work.samples, work.found, start, normals, albedo, confidence, used)

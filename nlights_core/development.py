@@ -2,28 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
 from nlights_core.algorithms import PHOTONS
+from nlights_core.band_threads import in_order
 from nlights_core.capture import Encoding, Sensor, Tile
 from nlights_core.errors import TileError
 from nlights_core.fields import LightField
 from nlights_core.frames import Array, PixelGrid
 from nlights_core.images import EYE, ImageInfo, Photograph, grey, is_saturated
 from nlights_core.kernels import available
+from nlights_core.memory import band_memory
 from nlights_core.noise import Noise, measure_noise
 from nlights_core.plates import Plate
 from nlights_core.surveys import grid_of, survey
 
 BAND_BYTES = 64 << 20
-"""About what the images and lights of one band may take; a solver takes a few times as much."""
+"""About what the images and lights of one band may take, where there is memory for it."""
+
+SOLVING = 4
+"""As many times as that a solver is expected to take."""
 
 BLACK = 5e-4
 """A frame whose mean is below this share of saturation shows that its lamp did not fire."""
@@ -33,6 +38,9 @@ BURNT = 0.99
 
 VIEW_COLUMNS = 300
 """About how wide the small views of the photographs are, px."""
+
+
+Result = TypeVar("Result")
 
 
 @dataclass
@@ -212,11 +220,19 @@ class Darkroom:
         """Small views of the photographs read so far, (L, h, w, C) float32: for people to look at."""
         return np.concatenate(self._views, axis=1)
 
-    def bands(self, lights: LightField, plate: Plate | None, height: Rows | None = None) -> Iterator[Band]:
-        """Develop all bands from top to bottom, then check the exposures.
+    def bands(
+        self,
+        work: Callable[[Band], Result],
+        lights: LightField,
+        plate: Plate | None,
+        height: Rows | None = None,
+    ) -> Iterator[tuple[Band, Result]]:
+        """Develop all bands and work on them, on all cores; then check the exposures.
 
         Parameters
         ----------
+        work : callable
+            What is done with a band, in any thread.
         lights : LightField
             The lamps.
         plate : Plate, optional
@@ -224,14 +240,25 @@ class Darkroom:
         height : (H, W) array, optional
             Height of the pass before, mm; None: the plane.
 
+        Yields
+        ------
+        Band, object
+            From top to bottom, and what ``work`` returned.
+
         Raises
         ------
         TileError
             When a photograph is black or saturated throughout, or cannot be read.
         """
-        for start, stop in bands(self.grid, len(self.photographs) * (self.info.channels * 4 + 24)):
-            raw = self.raw(start, stop, lights)
-            yield self.develop(raw, lights, plate, None if height is None else height[start:stop])
+
+        def worked(raw: Raw) -> tuple[Band, Result]:
+            before = None if height is None else height[raw.start : raw.stop]
+            band = self.develop(raw, lights, plate, before)
+            return band, work(band)
+
+        places = bands(self.grid, len(self.photographs) * (self.info.channels * 4 + 24))
+        # Read one after the other: a photograph serves one thread at a time, and views are kept in order.
+        yield from in_order(worked, (self.raw(*place, lights) for place in places))
         self.check()
 
     def develop(self, raw: Raw, lights: LightField, plate: Plate | None, height: Array | None = None) -> Band:
@@ -395,7 +422,8 @@ def darkroom(tile: Tile, scratch: Path, *, flats: bool = False) -> Iterator[Dark
 
 
 def bands(grid: PixelGrid, bytes_per_pixel: int) -> Iterator[tuple[int, int]]:
-    """Cut a grid into bands of rows that fit `BAND_BYTES`, as (start, stop)."""
-    rows = max(1, min(grid.rows, BAND_BYTES // max(1, bytes_per_pixel * grid.columns)))
+    """Cut a grid into bands of rows, as (start, stop), of `BAND_BYTES` or what the memory allows."""
+    size = min(BAND_BYTES, band_memory() // SOLVING)
+    rows = max(1, min(grid.rows, size // max(1, bytes_per_pixel * grid.columns)))
     for start in range(0, grid.rows, rows):
         yield start, min(start + rows, grid.rows)

@@ -1,8 +1,9 @@
 """The normal stage in one go: the photographs' numbers become the stage's images strip by strip.
 
-What `nlights_core.solving` does with bands of arrays, for the solvers that have a kernel, with the
-same results.  Every core reads a strip of rows and works on it, and one thread hands the finished ones
-out in order; how many strips there are at a time bounds the memory.
+What `nlights_core.solving` does with bands of arrays, with the same results.  Every core reads a strip
+of rows and works on it, and one thread hands the finished ones out in order.  How many strips there are at
+a time, and how large they are, bounds the memory.  A solver that has a kernel sees blocks of pixels in the
+processor's cache; any other sees plain arrays of the strip.
 """
 
 from __future__ import annotations
@@ -15,23 +16,32 @@ from typing import Any
 
 import numpy as np
 
-from nlights_core import compiled_fits
+from nlights_core import compiled_fits, verbs
 from nlights_core.agreement import AgreementMeter
+from nlights_core.algorithms import NormalSolver
 from nlights_core.band_threads import cores, in_order
-from nlights_core.compiled_delivery import solve_strip
+from nlights_core.compiled_delivery import deliver, solve_strip, take
 from nlights_core.compiled_development import COUNTED, SCRATCH, cells, develop
 from nlights_core.compiled_fits import BLOCK
+from nlights_core.compiled_solutions import FOUND
 from nlights_core.development import Band, Darkroom, Exposure, Rows, grey_shares
 from nlights_core.fields import LightField
 from nlights_core.frames import Array
 from nlights_core.images import EYE
-from nlights_core.kernels import Images, Kernel, scratch
+from nlights_core.kernels import Images, Rule, rule_of, scratch
 from nlights_core.least_squares import UsableLights
+from nlights_core.memory import band_memory
 from nlights_core.plates import Plate
 from nlights_core.strips import Blocks, Optics, Strip
 
 STRIP = 1 << 19
 """Pixels of a strip, about: what is kept of it stays in the processor's outer cache."""
+
+SOLVING = 4
+"""As many times as its samples and colours a solver of plain arrays is expected to take."""
+
+PLAIN_STRIP = 1 << 16
+"""Pixels of a strip whose samples a solver sees as plain arrays: it makes many more of them."""
 
 
 @dataclass(frozen=True)
@@ -42,10 +52,8 @@ class FusedSolver:
     ----------
     room : Darkroom
         The open photographs.
-    solver : UsableLights
-        A solver that has a kernel.
-    kernel : Kernel
-        Its kernel.
+    solver : NormalSolver
+        Does its work by a kernel, if it has one.
     lights : LightField
         Without ambient light.
     plate : Plate
@@ -59,8 +67,7 @@ class FusedSolver:
     """
 
     room: Darkroom
-    solver: UsableLights
-    kernel: Kernel
+    solver: NormalSolver
     lights: LightField
     plate: Plate
     height: Rows | None
@@ -106,7 +113,7 @@ class FusedSolver:
             self._view(view)
             yield start, start + len(images.normals), images
         self.room.check()
-        meter.look(self._sample(_joined(seen)))
+        meter.look(self._developed(_joined(seen))[1])
 
     def _account(self, pixels: int, totals: Array) -> None:
         """Take a strip's sums over its pixels inside the mask into the account of the exposures."""
@@ -118,6 +125,10 @@ class FusedSolver:
             exposure.pixels += pixels
             exposure.saturated += int(saturated)
             exposure.total += float(grey)
+
+    @cached_property
+    def _rule(self) -> Rule | None:
+        return rule_of(self.solver)
 
     @cached_property
     def _count(self) -> int:
@@ -141,10 +152,10 @@ class FusedSolver:
     def _places(self) -> Iterator[tuple[int, int, Array, Images]]:
         """Rows of strips, with room for their numbers and images; it is used again when they are done."""
         grid, info = self.room.grid, self.room.info
-        rows = max(1, min(grid.rows, STRIP // grid.columns))
         # `in_order` has one strip a core under way when it asks for another.
         spare = cores() + 1
         kind = info.dtype if self._plain else np.dtype(np.float32)
+        rows = max(1, min(grid.rows, self._pixels(kind) // grid.columns))
         numbers = np.empty((spare, self._count, rows, info.columns * info.channels), kind)
         images = [self._images(rows) for _ in range(spare)]
         for turn, start in enumerate(range(0, grid.rows, rows)):
@@ -155,6 +166,15 @@ class FusedSolver:
                 numbers[turn % spare],
                 Images(*(i[: stop - start] for i in images[turn % spare])),
             )
+
+    def _pixels(self, kind: np.dtype[Any]) -> int:
+        """Pixels of a strip, of which there is one a core and one more at a time."""
+        channels, lamps = self.room.info.channels, len(self.lights.lamps)
+        size = self._count * channels * kind.itemsize + 4 * (7 + 2 * channels)
+        if self._rule:
+            return min(STRIP, band_memory() // size)
+        # In blocks six numbers a sample and three colours; as arrays, and in the solver's hands, several times that.
+        return min(PLAIN_STRIP, band_memory() // (size + SOLVING * lamps * 4 * 9))
 
     def _strip(self, start: int, stop: int, numbers: Array) -> Strip:
         """Read rows of all photographs into a buffer."""
@@ -183,16 +203,24 @@ class FusedSolver:
 
     def _solved(self, strip: Strip, images: Images) -> tuple[int, Array]:
         """Solve a strip: how many pixels are inside the mask, and totals of the photographs."""
-        work = scratch(len(self.lights.lamps))
-        blocks = self._blocks(work.samples)
-        limits = (np.float32(self.shadow), np.float32(self.solver.shadow), float(self.solver.condition))
-        robust, white = self.kernel == "robust", np.float32(self.white)
-        solve_strip(strip, self.optics, *limits, robust, white, blocks, work, images)
+        white = np.float32(self.white)
+        if self._rule:
+            assert isinstance(self.solver, UsableLights)
+            work = scratch(len(self.lights.lamps))
+            blocks = self._blocks(work.samples)
+            limits = np.float32(self.shadow), np.float32(self.solver.shadow)
+            solve_strip(strip, self.optics, *limits, self._rule, white, blocks, work, images)
+        else:
+            blocks, band = self._developed(strip)
+            found = np.empty((len(blocks.samples), FOUND), np.float32)
+            solution = verbs.solve(self.solver, band.grey, band.lights, band.weights)
+            take(blocks.samples, *(np.require(part, np.float32, ["C", "W"]) for part in solution), found)
+            deliver(blocks, found, 0, white, images)
         pixels = np.count_nonzero(strip.inside) if strip.inside.size else images.residual.size
         return int(pixels), blocks.totals[: self._count]
 
-    def _sample(self, strip: Strip) -> Band:
-        """Some pixels as a solver sees them."""
+    def _developed(self, strip: Strip) -> tuple[Blocks, Band]:
+        """A strip in blocks, and as a solver sees it."""
         rows, columns = len(strip.y), len(strip.x)
         lamps = len(self.lights.lamps)
         count = rows * -(-columns // BLOCK)
@@ -206,7 +234,7 @@ class FusedSolver:
         grey, weights = plane(compiled_fits.VALUE), plane(compiled_fits.USABLE)
         rays = np.stack([plane(k) for k in (compiled_fits.X, compiled_fits.Y, compiled_fits.Z)], axis=-1)
         saturated = np.zeros(grey.shape, bool)
-        return Band(0, rows, grey[..., None], weights, saturated, rays, None, grey)
+        return blocks, Band(0, rows, grey[..., None], weights, saturated, rays, None, grey)
 
     def _blocks(self, samples: Array) -> Blocks:
         size, lamps, _ = samples.shape

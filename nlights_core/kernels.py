@@ -5,18 +5,18 @@ from __future__ import annotations
 import importlib.util
 import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
 from nlights_core.algorithms import NormalSolver, Solution
+from nlights_core.band_threads import in_order
 from nlights_core.frames import Array
 
 if TYPE_CHECKING:
     from nlights_core.compiled_fits import Work
 
-Kernel = Literal["least-squares", "robust"]
+Kernel = Literal["least-squares", "robust", "progressive", "rank-trim"]
 """Whose work a kernel does."""
 
 SWITCH = "NLIGHTS_KERNELS"
@@ -27,6 +27,28 @@ SAMPLES = 1 << 13
 
 TASK = 1 << 14
 """Pixels that are one task of a thread; a multiple of a block."""
+
+
+class Rule(NamedTuple):
+    """To which of its usable samples a pixel is fitted.
+
+    Attributes
+    ----------
+    way : int
+        Place of the `Kernel` among all.
+    condition : float
+        Option of `nlights_core.least_squares.UsableLights`.
+    keep : int
+        Option of ``progressive``: how many samples are left in the end.
+    darkest, brightest : float
+        Options of ``rank-trim``: shares that are dropped.
+    """
+
+    way: int
+    condition: float
+    keep: int = 0
+    darkest: float = 0.0
+    brightest: float = 0.0
 
 
 class Images(NamedTuple):
@@ -47,24 +69,32 @@ def available() -> bool:
     return os.environ.get(SWITCH) != "off" and importlib.util.find_spec("numba") is not None
 
 
-def kernel_of(solver: NormalSolver) -> Kernel | None:
-    """The kernel that does a solver's work, if any: a class says so itself, its subclasses do not inherit it."""
-    return vars(type(solver)).get("kernel") if available() else None
+def rule(kernel: Kernel, condition: float, **options: Any) -> Rule:
+    """The rule of a kernel with the options of its solver, of which there may be more."""
+    known = {name: value for name, value in options.items() if name in Rule._fields}
+    return Rule(get_args(Kernel).index(kernel), condition, **known)
 
 
-def solve(
-    kernel: Kernel, images: Array, lights: Array, weights: Array, shadow: float, condition: float
-) -> Solution:
-    """Solve a band as the normal solver of that name does.
+def rule_of(solver: NormalSolver) -> Rule | None:
+    """The rule of the kernel that does all of a solver's work, if any.
+
+    A class says itself which kernel that is; its subclasses do not inherit it.
+    """
+    kernel = vars(type(solver)).get("kernel") if available() else None
+    return rule(kernel, **solver.model_dump()) if kernel else None
+
+
+def solve(rule: Rule, images: Array, lights: Array, weights: Array, shadow: float) -> Solution:
+    """Solve a band as the normal solver with that rule does.
 
     Parameters
     ----------
-    kernel : {"least-squares", "robust"}
-        With "robust", reweighted as `nlights_core.robust_fitting.reweighted` does.
+    rule : Rule
+        Whose work is done.
     images, lights, weights : arrays
         As `nlights_core.algorithms.NormalSolver.solve` gets them.
-    shadow, condition : float
-        Options of `nlights_core.least_squares.UsableLights`.
+    shadow : float
+        Option of `nlights_core.least_squares.UsableLights`.
 
     Returns
     -------
@@ -84,7 +114,7 @@ def solve(
     confidence, used = np.empty(pixels, np.float32), np.empty((count, pixels), np.float32)
     samples = (values, rays, given)
     found = (normals, albedo, confidence, used)
-    limits = (np.float32(shadow), float(condition), kernel == "robust")
+    limits = (np.float32(shadow), rule)
 
     def task(first: int) -> None:
         solve_pixels(*samples, first, first + TASK, *limits, scratch(count), *found)
@@ -121,12 +151,8 @@ def scratch(count: int) -> Work:
 
 def on_all_cores(task: Callable[[int], None], items: range) -> None:
     """Call a task for every item, in threads where there is more than one."""
-    if len(items) > 1:
-        with ThreadPoolExecutor(os.cpu_count()) as pool:
-            list(pool.map(task, items))
-    else:
-        for item in items:
-            task(item)
+    for _ in in_order(task, items) if len(items) > 1 else map(task, items):
+        pass
 
 
 def _plain(array: Array) -> Array:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 
+from nlights_core.band_threads import cores
 from nlights_core.errors import TileError
 
 GIB = 1 << 30
@@ -42,6 +43,11 @@ def budget() -> int:
     if said:
         return parse_size(said)
     return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // 2
+
+
+def band_memory() -> int:
+    """What one core's band of rows may take, bytes, so that those of all cores take an eighth of the budget."""
+    return budget() // (8 * (cores() + 1))
 
 
 def require(need: int, what: str) -> None:

@@ -6,14 +6,13 @@ of `nlights_core.least_squares` take them too.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from itertools import combinations
 
 import numpy as np
 
 from nlights_core.algorithms import PHOTONS, Solution
+from nlights_core.band_threads import in_order
 from nlights_core.frames import Array
 from nlights_core.least_squares import Fit, adjugates, fit
 
@@ -80,8 +79,8 @@ def in_blocks(
         normals[part], albedo[part], confidence[part] = found.normals, found.albedo, found.confidence
         used[:, part] = found.weights
 
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        list(pool.map(block, range(0, pixels, size)))
+    for _ in in_order(block, range(0, pixels, size)):
+        pass
     return Solution(
         normals.reshape(*shape, 3),
         albedo.reshape(shape),

@@ -26,7 +26,7 @@ def robust_solution(
     Solution
     """
     if kernels.available():
-        return kernels.solve("robust", images, lights, weights, shadow, condition)
+        return kernels.solve(kernels.rule("robust", condition), images, lights, weights, shadow)
     solved = partial(_by_numpy, shadow=shadow, condition=condition)
     return robust_fitting.in_blocks(solved, images, lights, weights)
 

@@ -24,8 +24,7 @@ from nlights_core.development import Band, Darkroom, Rows
 from nlights_core.export import BandTiff
 from nlights_core.fields import LightField
 from nlights_core.frames import Array
-from nlights_core.kernels import Images, kernel_of
-from nlights_core.least_squares import UsableLights
+from nlights_core.kernels import Images, available
 from nlights_core.plates import Plate
 from nlights_core.store import Progress
 
@@ -90,12 +89,10 @@ def solve(
         "shadow": (shape, np.uint8),
     }
     meter = AgreementMeter(room.grid, partial(solved, solver))
-    kernel = kernel_of(solver)
-    if kernel and plate is not None and not lights.ambient.any():
+    if available() and plate is not None and not lights.ambient.any():
         from nlights_core.fused_solving import FusedSolver
 
-        assert isinstance(solver, UsableLights)
-        strips = FusedSolver(room, solver, kernel, lights, plate, height, SHADOW, scale).strips(meter)
+        strips = FusedSolver(room, solver, lights, plate, height, SHADOW, scale).strips(meter)
     else:
         strips = _by_bands(room, solver, lights, plate, height, scale, meter)
     with ExitStack() as stack:
@@ -137,26 +134,26 @@ def _by_bands(
     scale: float,
     meter: AgreementMeter,
 ) -> Iterator[tuple[int, int, Images]]:
-    """Solve with a solver that sees one band of plain arrays at a time."""
-    for band in room.bands(lights, plate, height):
+    """Solve where there is no plate, or ambient light; and without compiled loops."""
+
+    def imaged(band: Band) -> Images:
         found = solved(solver, band)
         shading = _shading(found, band)
-        meter.add(band)
         albedo = np.float32(scale) * coloured_albedo(band.images, shading, found.weights)
-        yield (
-            band.start,
-            band.stop,
-            Images(
-                normals=found.normals,
-                albedo=albedo,
-                reflection=np.float32(scale) * _apparent(band) - albedo,
-                confidence=found.confidence,
-                residual=relative_residual(band.grey, shading, found),
-                used=_count(found.weights > 0),
-                saturated=_count(band.saturated),
-                shadow=_count(_shadowed(band)),
-            ),
+        return Images(
+            normals=found.normals,
+            albedo=albedo,
+            reflection=np.float32(scale) * _apparent(band) - albedo,
+            confidence=found.confidence,
+            residual=relative_residual(band.grey, shading, found),
+            used=_count(found.weights > 0),
+            saturated=_count(band.saturated),
+            shadow=_count(_shadowed(band)),
         )
+
+    for band, images in room.bands(imaged, lights, plate, height):
+        meter.add(band)
+        yield band.start, band.stop, images
 
 
 def solved(solver: NormalSolver, band: Band) -> Solution:

@@ -20,7 +20,9 @@ class LeastSquares(UsableLights):
 
     def solve(self, images: Array, lights: Array, weights: Array) -> Solution:
         if kernels.available():
-            return kernels.solve(self.kernel, images, lights, weights, self.shadow, self.condition)
+            return kernels.solve(
+                kernels.rule(self.kernel, **self.model_dump()), images, lights, weights, self.shadow
+            )
         usable = least_squares.lit(images, weights, self.shadow)
         found = least_squares.fit(images, lights, usable, self.condition)
         return least_squares.solution(images, lights, usable, found)

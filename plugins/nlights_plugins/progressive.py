@@ -5,7 +5,7 @@ from typing import ClassVar
 import numpy as np
 from pydantic import Field
 
-from nlights_core import least_squares
+from nlights_core import kernels, least_squares
 from nlights_core.algorithms import Solution
 from nlights_core.frames import Array
 from nlights_core.least_squares import UsableLights
@@ -21,10 +21,15 @@ class Progressive(UsableLights):
     """
 
     name: ClassVar[str] = "progressive"
+    kernel: ClassVar[kernels.Kernel] = "progressive"
 
     keep: int = Field(default=5, ge=3, description="how many lights are left in the end")
 
     def solve(self, images: Array, lights: Array, weights: Array) -> Solution:
+        if kernels.available():
+            return kernels.solve(
+                kernels.rule(self.kernel, **self.model_dump()), images, lights, weights, self.shadow
+            )
         usable = least_squares.lit(images, weights, self.shadow)
         found = least_squares.fit(images, lights, usable, self.condition)
         for _ in range(len(images) - self.keep):

@@ -4,7 +4,7 @@ from typing import ClassVar
 
 from pydantic import Field
 
-from nlights_core import least_squares, robust_fitting
+from nlights_core import kernels, least_squares, robust_fitting
 from nlights_core.algorithms import Solution
 from nlights_core.frames import Array
 from nlights_core.least_squares import UsableLights
@@ -19,6 +19,7 @@ class RankTrim(UsableLights):
     """
 
     name: ClassVar[str] = "rank-trim"
+    kernel: ClassVar[kernels.Kernel] = "rank-trim"
 
     darkest: float = Field(
         default=0.2,
@@ -31,6 +32,10 @@ class RankTrim(UsableLights):
     )
 
     def solve(self, images: Array, lights: Array, weights: Array) -> Solution:
+        if kernels.available():
+            return kernels.solve(
+                kernels.rule(self.kernel, **self.model_dump()), images, lights, weights, self.shadow
+            )
         return robust_fitting.in_blocks(self._solved, images, lights, weights)
 
     def _solved(self, images: Array, lights: Array, weights: Array) -> Solution:

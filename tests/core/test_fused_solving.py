@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from nlights_core import fused_solving, kernels, solving
+from nlights_core import fused_solving, kernels, memory, solving
 from nlights_core.capture import Encoding
 from nlights_core.configurations import load_stand
 from nlights_core.development import darkroom
@@ -16,6 +16,9 @@ from nlights_core.manifest import load_capture
 from nlights_core.plates import Plate, continued
 from nlights_core.testing.simulation import simulate
 from nlights_plugins.least_squares import LeastSquares
+from nlights_plugins.median_of_triplets import MedianOfTriplets
+from nlights_plugins.progressive import Progressive
+from nlights_plugins.rank_trim import RankTrim
 from nlights_plugins.robust import Robust
 
 pytest.importorskip("numba")
@@ -101,17 +104,20 @@ def rewritten(tile, folder, change):
     return tile.model_copy(update={"frames": frames, "flats": None, "dark": written(tile.dark, "dark.tif")})
 
 
-@pytest.mark.parametrize("solver", [LeastSquares(), LeastSquares(shadow=0.3, condition=3.0)])
+@pytest.mark.parametrize("solver", [LeastSquares(), LeastSquares(shadow=0.3, condition=3.0), RankTrim()])
 @pytest.mark.parametrize("surface", [None, height])
 def test_it_finds_what_bands_find(tile, tmp_path, monkeypatch, solver, surface):
     plain = assert_both_agree(tile, tmp_path, monkeypatch, solver=solver, surface=surface and surface(tile))
     assert np.isfinite(plain["normals"]).mean() > 0.5
 
 
-def test_with_the_robust_solver_nearly_all_pixels_are_alike(tile, tmp_path, monkeypatch):
+@pytest.mark.parametrize("solver", [Robust(), Progressive(), MedianOfTriplets()])
+def test_with_solvers_that_discard_by_residuals_nearly_all_pixels_are_alike(
+    tile, tmp_path, monkeypatch, solver
+):
     # A residual that rounding puts on the other side of a limit changes the weights of its pixel.
     monkeypatch.delenv(kernels.SWITCH, raising=False)
-    given = (tile, Robust(), near(tile), plate(tile), height(tile))
+    given = (tile, solver, near(tile), plate(tile), height(tile))
     fused = found(*given, tmp_path / "fused")
     monkeypatch.setenv(kernels.SWITCH, "off")
     plain = found(*given, tmp_path / "plain")
@@ -120,10 +126,11 @@ def test_with_the_robust_solver_nearly_all_pixels_are_alike(tile, tmp_path, monk
         assert alike.mean() > 0.9995, name
 
 
-def test_strips_of_few_rows_give_the_same_bits(tile, tmp_path, monkeypatch):
-    given = (tile, Robust(), near(tile), plate(tile), height(tile))
+@pytest.mark.parametrize("solver", [Robust(), MedianOfTriplets()])
+def test_little_memory_makes_strips_of_few_rows_and_the_same_bits(tile, tmp_path, monkeypatch, solver):
+    given = (tile, solver, near(tile), plate(tile), height(tile))
     whole = found(*given, tmp_path / "whole")
-    monkeypatch.setattr(fused_solving, "STRIP", 7 * 200)
+    monkeypatch.setenv(memory.VARIABLE, "12M")
     strips = found(*given, tmp_path / "strips")
     for name in FILES:
         assert whole[name].tobytes() == strips[name].tobytes(), name
@@ -197,5 +204,5 @@ def test_a_solver_derived_from_a_bundled_one_does_its_own_work():
         def solve(self, images, lights, weights):
             return super().solve(images, lights, weights * 0.5)
 
-    assert kernels.kernel_of(Robust()) == "robust"
-    assert kernels.kernel_of(Cautious()) is None
+    assert kernels.rule_of(Robust()) is not None
+    assert kernels.rule_of(Cautious()) is None

@@ -8,14 +8,23 @@ import numpy as np
 import pytest
 
 from nlights_core import kernels
-from nlights_core.algorithms import PHOTONS
+from nlights_core.algorithms import PHOTONS, Solution
 from nlights_core.testing.evaluation import angles_between
 from nlights_plugins.least_squares import LeastSquares
+from nlights_plugins.progressive import Progressive
+from nlights_plugins.rank_trim import RankTrim
 from nlights_plugins.robust import Robust
 
 pytest.importorskip("numba")
 
 SHAPE = (13, 41)
+
+SOLVERS = [
+    LeastSquares(),
+    Robust(),
+    RankTrim(),
+    RankTrim(darkest=0.3, brightest=0),
+]
 
 
 def directions(count: int) -> np.ndarray:
@@ -59,21 +68,49 @@ def assert_equal(fast, plain):
     np.testing.assert_array_equal(fast.weights > 0, plain.weights > 0)
 
 
-@pytest.mark.parametrize("solver", [LeastSquares(), Robust()])
+@pytest.mark.parametrize("solver", SOLVERS)
 @pytest.mark.parametrize("count", [3, 4, 5, 8, 17, 96])
 def test_the_kernel_finds_what_numpy_finds(solver, count, monkeypatch):
     images, weights, _ = scene(count)
     assert_equal(*both(solver, images, directions(count), weights, monkeypatch))
 
 
-@pytest.mark.parametrize("solver", [LeastSquares(), Robust(), Robust(shadow=0)])
+def chosen(found, pixels):
+    """The solution of some pixels, (h, w) flags."""
+    return Solution(*(part[pixels] for part in found[:3]), found.weights[:, pixels])
+
+
+@pytest.mark.parametrize("solver", [Progressive(), Progressive(keep=3)])
+@pytest.mark.parametrize("count", [3, 5, 8, 17])
+def test_progressive_discards_alike_but_where_two_samples_are_equally_wrong(solver, count, monkeypatch):
+    images, weights, _ = scene(count)
+    weights[0, :4] = weights[1, 2:6] = 0
+    images[2, 9] = np.nan
+    fast, plain = both(solver, images, directions(count), weights, monkeypatch)
+    alike = ((fast.weights > 0) == (plain.weights > 0)).all(axis=0)
+    assert alike.mean() >= 0.99
+    assert_equal(chosen(fast, alike), chosen(plain, alike))
+
+
+@pytest.mark.parametrize("squeeze", [0.1, 0.02])
+def test_progressive_keeps_lights_that_would_else_be_badly_spread(squeeze, monkeypatch):
+    images, weights, _ = scene(8, wrong=0.0)
+    lights = directions(8) * np.float32([1, squeeze, 1])
+    fast, plain = both(Progressive(keep=3, condition=30.0), images, lights, weights, monkeypatch)
+    alike = ((fast.weights > 0) == (plain.weights > 0)).all(axis=0)
+    assert alike.mean() >= 0.98
+    if squeeze == 0.1:
+        assert ((plain.weights > 0).sum(axis=0) > 3).any()
+
+
+@pytest.mark.parametrize("solver", [*SOLVERS, Robust(shadow=0)])
 def test_lights_that_differ_from_pixel_to_pixel_are_followed(solver, monkeypatch):
     images, weights, _ = scene(8)
     spread = np.random.default_rng(1).uniform(0.9, 1.1, (8, *SHAPE, 3)).astype(np.float32)
     assert_equal(*both(solver, images, directions(8) * spread, weights, monkeypatch))
 
 
-@pytest.mark.parametrize("solver", [LeastSquares(), Robust()])
+@pytest.mark.parametrize("solver", SOLVERS)
 def test_what_must_not_be_used_is_ignored_and_too_little_stays_unknown(solver, monkeypatch):
     images, weights, _ = scene(8)
     random = np.random.default_rng(2)
