@@ -29,12 +29,13 @@ from nlights_core.compiled_fits import (
     solved_exactly,
     surely_determined,
 )
+from nlights_core.compiled_medians import take_medians
 from nlights_core.compiled_reweighting import reweigh_blocks
 from nlights_core.frames import Array
 from nlights_core.kernels import Kernel, Rule
 
-_ROBUST, _PROGRESSIVE, _RANK_TRIM = (
-    get_args(Kernel).index(name) for name in ("robust", "progressive", "rank-trim")
+_ROBUST, _PROGRESSIVE, _RANK_TRIM, _MEDIAN = (
+    get_args(Kernel).index(name) for name in ("robust", "progressive", "rank-trim", "median-of-triplets")
 )
 _LEAST_REST = np.float32(1e-6)
 
@@ -64,6 +65,8 @@ def fit_blocks(work: Work, rule: Rule) -> None:
                 _discard(samples[block], fits[block], work.rows, rule.keep, rule.condition)
     for block in range(len(samples)):
         refined(samples[block], fits[block])
+        if rule.way == _MEDIAN:
+            take_medians(samples[block], fits[block], work, rule.condition)
 
 
 @compiled

@@ -62,6 +62,10 @@ class Work(NamedTuple):
         The inverse of the standard deviation of each sample, and residuals in its units.
     rows : (10, BLOCK) float32 array
     places : (3, BLOCK) int64 array
+    triplets : (T, 3) int64 array
+        Places of lights.
+    said : (4, T, BLOCK) float32 array
+        What each triplet says, and its share.
     """
 
     samples: Array
@@ -73,6 +77,8 @@ class Work(NamedTuple):
     noise: Array
     rows: Array
     places: Array
+    triplets: Array
+    said: Array
 
 
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -98,7 +104,7 @@ def _digest() -> str:
     """Of all that compiled code is made from."""
     own = (
         f"compiled_{name}.py"
-        for name in ("fits", "reweighting", "choices", "solutions", "development", "delivery")
+        for name in ("fits", "reweighting", "medians", "choices", "solutions", "development", "delivery")
     )
     files = map(
         Path(__file__).with_name,

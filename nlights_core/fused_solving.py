@@ -206,7 +206,7 @@ class FusedSolver:
         white = np.float32(self.white)
         if self._rule:
             assert isinstance(self.solver, UsableLights)
-            work = scratch(len(self.lights.lamps))
+            work = scratch(len(self.lights.lamps), self._rule)
             blocks = self._blocks(work.samples)
             limits = np.float32(self.shadow), np.float32(self.solver.shadow)
             solve_strip(strip, self.optics, *limits, self._rule, white, blocks, work, images)

@@ -16,7 +16,7 @@ from nlights_core.frames import Array
 if TYPE_CHECKING:
     from nlights_core.compiled_fits import Work
 
-Kernel = Literal["least-squares", "robust", "progressive", "rank-trim"]
+Kernel = Literal["least-squares", "robust", "progressive", "rank-trim", "median-of-triplets"]
 """Whose work a kernel does."""
 
 SWITCH = "NLIGHTS_KERNELS"
@@ -42,6 +42,8 @@ class Rule(NamedTuple):
         Option of ``progressive``: how many samples are left in the end.
     darkest, brightest : float
         Options of ``rank-trim``: shares that are dropped.
+    most : int
+        Option of ``median-of-triplets``: how many triplets are solved at most.
     """
 
     way: int
@@ -49,6 +51,7 @@ class Rule(NamedTuple):
     keep: int = 0
     darkest: float = 0.0
     brightest: float = 0.0
+    most: int = 0
 
 
 class Images(NamedTuple):
@@ -117,7 +120,7 @@ def solve(rule: Rule, images: Array, lights: Array, weights: Array, shadow: floa
     limits = (np.float32(shadow), rule)
 
     def task(first: int) -> None:
-        solve_pixels(*samples, first, first + TASK, *limits, scratch(count), *found)
+        solve_pixels(*samples, first, first + TASK, *limits, scratch(count, rule), *found)
 
     assert TASK % BLOCK == 0
     on_all_cores(task, range(0, pixels, TASK))
@@ -129,13 +132,14 @@ def solve(rule: Rule, images: Array, lights: Array, weights: Array, shadow: floa
     )
 
 
-def scratch(count: int) -> Work:
-    """Room for the blocks of pixels of so many lights that are worked on together."""
+def scratch(count: int, rule: Rule) -> Work:
+    """Room for the blocks of pixels of so many lights that are worked on together by a rule."""
     from nlights_core.compiled_fits import BLOCK, FIT, SAMPLE, Work
     from nlights_core.compiled_solutions import FOUND
-    from nlights_core.robust_fitting import scale_quantiles
+    from nlights_core.robust_fitting import chosen_triplets, scale_quantiles
 
     blocks = max(SAMPLES // (count * BLOCK), 1)
+    triplets = chosen_triplets(count, rule.most)
     return Work(
         samples=np.empty((blocks, count, SAMPLE), np.float32),
         fits=np.empty((blocks, FIT), np.float32),
@@ -146,6 +150,8 @@ def scratch(count: int) -> Work:
         noise=np.empty((3, count, BLOCK), np.float32),
         rows=np.empty((10, BLOCK), np.float32),
         places=np.empty((3, BLOCK), np.int64),
+        triplets=triplets,
+        said=np.empty((4, len(triplets), BLOCK), np.float32),
     )
 
 

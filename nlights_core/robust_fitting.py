@@ -171,9 +171,7 @@ def median_of_triplets(images: Array, lights: Array, weights: Array, most: int) 
     (3, n) float32 array
         Albedo times normal; NaN where no triplet is usable.
     """
-    triplets = np.array(list(combinations(range(len(images)), 3)))
-    if len(triplets) > most:
-        triplets = triplets[np.sort(np.random.default_rng(0).permutation(len(triplets))[:most])]
+    triplets = chosen_triplets(len(images), most)
     values = np.where(weights > 0, images, 0).astype(np.float32)
     rays = np.moveaxis(lights, -1, 1).astype(np.float32)
     said = np.empty((3, len(triplets), *images.shape[1:]), np.float32)
@@ -185,6 +183,14 @@ def median_of_triplets(images: Array, lights: Array, weights: Array, most: int) 
         said[:, t] = total / np.where(volume == 0, np.float32(1), volume)
         shares[t] = volume**2 * weights[i] * weights[j] * weights[k]
     return np.stack([_weighted_median(component, shares) for component in said])
+
+
+def chosen_triplets(count: int, most: int) -> Array:
+    """All triplets of so many lights, or a fixed random choice of ``most``: places, (T, 3) int64."""
+    triplets = np.array(list(combinations(range(count), 3)), np.int64).reshape(-1, 3)
+    if len(triplets) > most:
+        triplets = triplets[np.sort(np.random.default_rng(0).permutation(len(triplets))[:most])]
+    return triplets
 
 
 def _cross(a: Array, b: Array) -> Array:

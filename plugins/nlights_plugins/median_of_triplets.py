@@ -5,7 +5,7 @@ from typing import ClassVar
 import numpy as np
 from pydantic import Field
 
-from nlights_core import least_squares, robust_fitting
+from nlights_core import kernels, least_squares, robust_fitting
 from nlights_core.algorithms import Solution
 from nlights_core.frames import Array
 from nlights_core.least_squares import UsableLights
@@ -20,6 +20,7 @@ class MedianOfTriplets(UsableLights):
     """
 
     name: ClassVar[str] = "median-of-triplets"
+    kernel: ClassVar[kernels.Kernel] = "median-of-triplets"
 
     most: int = Field(
         default=120,
@@ -30,6 +31,9 @@ class MedianOfTriplets(UsableLights):
     )
 
     def solve(self, images: Array, lights: Array, weights: Array) -> Solution:
+        if kernels.available():
+            rule = kernels.rule(self.kernel, **self.model_dump())
+            return kernels.solve(rule, images, lights, weights, self.shadow)
         return robust_fitting.in_blocks(self._solved, images, lights, weights)
 
     def _solved(self, images: Array, lights: Array, weights: Array) -> Solution:

@@ -11,6 +11,7 @@ from nlights_core import kernels
 from nlights_core.algorithms import PHOTONS, Solution
 from nlights_core.testing.evaluation import angles_between
 from nlights_plugins.least_squares import LeastSquares
+from nlights_plugins.median_of_triplets import MedianOfTriplets
 from nlights_plugins.progressive import Progressive
 from nlights_plugins.rank_trim import RankTrim
 from nlights_plugins.robust import Robust
@@ -88,6 +89,20 @@ def test_progressive_discards_alike_but_where_two_samples_are_equally_wrong(solv
     images[2, 9] = np.nan
     fast, plain = both(solver, images, directions(count), weights, monkeypatch)
     alike = ((fast.weights > 0) == (plain.weights > 0)).all(axis=0)
+    assert alike.mean() >= 0.99
+    assert_equal(chosen(fast, alike), chosen(plain, alike))
+
+
+@pytest.mark.parametrize("solver", [MedianOfTriplets(), MedianOfTriplets(most=20)])
+@pytest.mark.parametrize("count", [3, 4, 5, 8, 17])
+def test_medians_are_alike_but_where_two_triplets_share_the_middle(solver, count, monkeypatch):
+    images, weights, _ = scene(count)
+    weights[0, :4] = weights[1, 2:6] = weights[2, 3] = 0
+    images[2, 9] = np.nan
+    images[:, 10] = 0
+    fast, plain = both(solver, images, directions(count), weights, monkeypatch)
+    np.testing.assert_array_equal(np.isnan(fast.albedo), np.isnan(plain.albedo))
+    alike = np.isnan(plain.albedo) | np.isclose(fast.normals, plain.normals, atol=2e-5).all(axis=-1)
     assert alike.mean() >= 0.99
     assert_equal(chosen(fast, alike), chosen(plain, alike))
 
