@@ -25,8 +25,7 @@ from nlights_core.arrays import read_array
 from nlights_core.development import darkroom
 from nlights_core.fields import LightField, NormalField
 from nlights_core.fused_solving import FusedSolver
-from nlights_core.kernels import kernel_of
-from nlights_core.least_squares import UsableLights
+from nlights_core.kernels import rule_of
 from nlights_core.levelling import read_level
 from nlights_core.manifest import load_capture
 from nlights_core.noise import read_noise
@@ -37,7 +36,7 @@ from nlights_core.solving import SHADOW, solved
 from nlights_core.stages import FLATS
 from nlights_core.surveys import grid_of, survey
 
-SOLVERS = ("least-squares", "robust")
+SOLVERS = ("least-squares", "robust", "progressive", "rank-trim", "median-of-triplets")
 
 
 def main() -> None:
@@ -74,10 +73,8 @@ def normals_rate(capture: Path, store: Path, name: str, rounds: int = 3) -> floa
     for _ in range(rounds + 1):
         with tempfile.TemporaryDirectory() as scratch, darkroom(tile, Path(scratch)) as room:
             room.noise = read_noise(plate) or room.noise
-            kernel = kernel_of(solver)
-            assert kernel, f"{name} has no kernel"
-            assert isinstance(solver, UsableLights)
-            fused = FusedSolver(room, solver, kernel, field, read_plate(plate), height, SHADOW, 1.0)
+            assert rule_of(solver), f"{name} has no kernel"
+            fused = FusedSolver(room, solver, field, read_plate(plate), height, SHADOW, 1.0)
             started = time.monotonic()
             deque(fused.strips(AgreementMeter(room.grid, partial(solved, solver))), 0)
             found.append(shape[0] * shape[1] / 1e6 / (time.monotonic() - started))

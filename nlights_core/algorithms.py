@@ -209,7 +209,10 @@ class Integrator(Algorithm):
 
     slot: ClassVar[str] = "integrator"
     bytes_per_pixel: ClassVar[int] = 64
-    """Peak working memory per pixel, checked against the budget before the stage starts."""
+    """Working memory per pixel that any field takes, compared with the budget before a tile is begun.
+
+    Where some fields take more, ask `nlights_core.memory.require` once that is known.
+    """
 
     @abstractmethod
     def integrate(self, normals: NormalField) -> HeightMap:

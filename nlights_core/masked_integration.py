@@ -8,7 +8,8 @@ from numpy.typing import DTypeLike
 from nlights_core.frames import Array
 from nlights_core.integration import Stencil, add_divergence, add_plane, mean_per_island, mean_steps
 from nlights_core.masked_poisson import solve_embedded
-from nlights_core.weighted_poisson import solve_weighted
+from nlights_core.memory import require
+from nlights_core.weighted_poisson import MULTIGRID, solve_weighted
 
 SINGLE = 1e-6
 """Where single precision ends: a residual that has fallen to this share."""
@@ -77,6 +78,7 @@ def solve_masked(source: Array, known: Array, tolerance: float = SINGLE) -> Arra
         tolerance = max(tolerance, SINGLE)
     height, left = solve_embedded(source, known, tolerance)
     if left > tolerance:
+        require(MULTIGRID * source.size, "integrator: a field whose known parts are like a labyrinth")
         pairs = known[:, 1:] & known[:, :-1], known[1:] & known[:-1]
         weights = [both.astype(np.float32) for both in pairs]
         rest = np.zeros_like(source)

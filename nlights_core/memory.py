@@ -15,6 +15,10 @@ VARIABLE = "NLIGHTS_MEMORY"
 """Environment variable that sets the budget, so that processes started for a run keep to it too."""
 
 
+ANY_TILE = 256 << 20
+"""What Python, its libraries and the smallest bands take, bytes, however small a tile is."""
+
+
 def parse_size(text: str) -> int:
     """A size in bytes, as people write it.
 

@@ -9,10 +9,14 @@ from nlights_core.frames import Array, PixelGrid
 from nlights_core.integration import BAND, Stencil, add_divergence, bands, mean_steps, solve_poisson
 from nlights_core.kernels import available
 from nlights_core.masked_integration import solve_masked
+from nlights_core.memory import require
 from nlights_core.sight_lines import ALL, facing_rays, ray_slopes, seen_gradient, seen_surface
 
 HALO = 3
 """Rows beyond a band that its steps depend on."""
+
+PLAIN, MASKED = 12, 24
+"""Bytes a pixel that integration takes at the most where all normals are known, and where not."""
 
 SAMPLE = 1_000_000
 """Pixels, about, from which means and medians are taken: on evenly spread rows."""
@@ -42,6 +46,11 @@ def least_squares_height(
     -------
     (H, W) float32 array
         z in the grid's unit, mean 0 on each island of known pixels; NaN where not known.
+
+    Raises
+    ------
+    TileError
+        When unknown parts of the field make it need more memory than there is.
     """
     tilt = sampled_tilt(normals, grid, steepest_deg)
     height, unknown = _divergence(normals, grid, stencil, steepest_deg, tilt)
@@ -50,6 +59,7 @@ def least_squares_height(
     elif unknown == height.size:
         return np.full(grid.shape, np.nan, np.float32)
     else:
+        require(MASKED * height.size, "integrator: a field with unknown parts")
         known = np.empty(grid.shape, bool)
         for lines in bands(grid.rows):
             known[lines] = np.isfinite(facing_rays(normals[lines], grid, lines))

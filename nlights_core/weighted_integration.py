@@ -19,9 +19,10 @@ import numpy as np
 from nlights_core.band_threads import in_order
 from nlights_core.frames import Array, PixelGrid
 from nlights_core.integration import Stencil, bands, certain_steps
+from nlights_core.memory import require
 from nlights_core.normal_integration import HALO, SAMPLE, sample_rows, sampled_tilt
 from nlights_core.sight_lines import facing_rays, ray_slopes, seen_gradient, seen_surface
-from nlights_core.weighted_poisson import solve_weighted
+from nlights_core.weighted_poisson import MULTIGRID, solve_weighted
 
 LINES = 32
 """Rows that are turned into steps at once."""
@@ -105,11 +106,17 @@ def weighted_height(
         z in the grid's unit and the precision of the normals, mean 0 on each island of known
         pixels; NaN where not known.
 
+    Raises
+    ------
+    TileError
+        When there is not the memory for it.
+
     References
     ----------
     Y. Queau, J.-D. Durou, J.-F. Aujol, "Variational methods for normal integration", J. Math.
     Imaging Vis. 60 (2018) 609-632, for losses that let the height jump.
     """
+    require(MULTIGRID * grid.rows * grid.columns, "integrator: normals of very different certainty")
     tilt = sampled_tilt(normals, grid, STEEPEST_DEG)
     directions, known = _directions(normals, grid, confidence, stencil, tilt)
     height = np.zeros(known.shape, normals.dtype)

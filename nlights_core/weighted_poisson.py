@@ -8,6 +8,9 @@ from nlights_core.frames import Array
 from nlights_core.integration import bands
 from nlights_core.multigrid import Multigrid, left_over, overlap
 
+MULTIGRID = 64
+"""Bytes a pixel that `solve_weighted` and whoever prepares its steps take at the most."""
+
 
 def solve_weighted(
     height: Array, residual: Array, weights: list[Array], tolerance: float, most_iterations: int = 200

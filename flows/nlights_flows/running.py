@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 from nlights_core.capture import Tile
 from nlights_core.errors import NlightsError, TileError
-from nlights_core.memory import require
+from nlights_core.memory import ANY_TILE, require
 from nlights_core.publishing import publish
 from nlights_core.recipe import Recipe
 from nlights_core.store import ArtefactRef, Store, Work
@@ -116,7 +116,7 @@ def require_memory(tile: Tile, recipe: Recipe) -> None:
         info = survey(tile)
     except (NlightsError, OSError):
         return  # the stage that reads the photographs will say what is wrong with them
-    need = recipe.integrator.bytes_per_pixel * info.rows * info.columns
+    need = ANY_TILE + recipe.integrator.bytes_per_pixel * info.rows * info.columns
     require(need, f"{tile.artwork}/{tile.name}: integrator: {recipe.integrator.name}")
 
 

@@ -12,7 +12,7 @@ from nlights_core.algorithms import Integrator
 from nlights_core.fields import HeightMap, NormalField
 from nlights_core.frames import Array, PixelGrid
 from nlights_core.integration import Stencil, frankot_chellappa
-from nlights_core.normal_integration import least_squares_height, sample_rows
+from nlights_core.normal_integration import PLAIN, least_squares_height, sample_rows
 from nlights_core.sight_lines import facing_rays, seen_gradient, seen_surface
 from nlights_core.weighted_integration import (
     evenly_certain,
@@ -28,14 +28,8 @@ FLATTENED_DEG = 70.0
 class SlopeIntegrator(Integrator):
     """What both integrators share: whose rays are followed."""
 
-    bytes_per_pixel: ClassVar[int] = 64
-    """Weighted, or masked as labyrinths are: what a field needs cannot be said before it is solved."""
-
-    bytes_per_pixel_direct: ClassVar[int] = 12
-    """Evenly certain and all known."""
-
-    bytes_per_pixel_masked: ClassVar[int] = 24
-    """Evenly certain, with unknown parts such as a border or spots."""
+    bytes_per_pixel: ClassVar[int] = PLAIN
+    """Evenly certain and all known; others ask for more once they are seen."""
 
     perspective: bool = Field(
         default=True,
@@ -53,7 +47,7 @@ class FrankotChellappa(SlopeIntegrator):
     """
 
     name: ClassVar[str] = "frankot-chellappa"
-    bytes_per_pixel_direct: ClassVar[int] = 36
+    bytes_per_pixel: ClassVar[int] = 36
 
     periodic: bool = Field(
         default=False,

@@ -6,8 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from nlights_core.errors import TileError
 from nlights_core.fields import NormalField
 from nlights_core.frames import PixelGrid
+from nlights_core.memory import VARIABLE
+from nlights_core.normal_integration import MASKED
+from nlights_core.weighted_poisson import MULTIGRID
 from nlights_plugins.integrators import FrankotChellappa, Simchony
 
 INTEGRATION = Path(__file__).parents[2].parent / "shared" / "data" / "integration"
@@ -239,7 +243,7 @@ def test_depths_of_real_objects_come_out_of_their_normals(name, most):
 
 
 @pytest.mark.parametrize("route", ["direct", "masked", "labyrinth", "weighted"])
-def test_no_more_memory_is_taken_than_is_stated(route):
+def test_no_more_memory_is_taken_than_is_stated_or_refused(route, monkeypatch):
     grid = PixelGrid(2000, 3000, 0.1, CAMERA) if route in ("direct", "masked") else PixelGrid(900, 1200, 0.1)
     rng = np.random.default_rng(4)
     slopes = rng.normal(0, 0.05, (*grid.shape, 2)).astype(np.float32)
@@ -251,7 +255,11 @@ def test_no_more_memory_is_taken_than_is_stated(route):
         normals[200::200, 10:] = normals[300::200, :-10] = np.nan
     if route == "weighted":
         confidence[500:600] = 5
-    stated = {"direct": Simchony.bytes_per_pixel_direct, "masked": Simchony.bytes_per_pixel_masked}
+    stated = (
+        {"direct": Simchony.bytes_per_pixel, "masked": MASKED}.get(route, MULTIGRID)
+        * grid.rows
+        * grid.columns
+    )
     field = NormalField(normals, grid, confidence)
     tracemalloc.start()
     try:
@@ -259,4 +267,8 @@ def test_no_more_memory_is_taken_than_is_stated(route):
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
-    assert peak < stated.get(route, Simchony.bytes_per_pixel) * grid.rows * grid.columns
+    assert peak < stated
+    monkeypatch.setenv(VARIABLE, str(stated - 1))
+    if route != "direct":  # which is compared before a tile is begun
+        with pytest.raises(TileError, match=r"integrator: .* needs .* of memory, but --memory allows"):
+            Simchony().integrate(field)
