@@ -176,7 +176,7 @@ def test_the_core_and_the_help_start_fast_because_nothing_heavy_is_imported():
 def test_a_memory_budget_that_is_too_small_is_said_before_anything_runs(painting, tmp_path):
     done = nlights("digitise", painting, "--out", tmp_path / "out", "--memory", "1MiB", code=2)
     assert "integrator: simchony: needs" in done.stderr
-    assert "MiB of memory, but --memory allows 1.0 MiB" in done.stderr
+    assert "GiB of memory, but --memory allows 1.0 MiB" in done.stderr
     assert products(tmp_path / "out") == []
     done = nlights("digitise", painting, "--out", tmp_path / "out", "--memory", "much", code=2)
     assert "write for instance 6GiB" in done.stderr

@@ -107,6 +107,6 @@ def test_a_memory_budget_that_is_too_small_is_said_before_anything_runs(compare,
     words = ("--recipes", *recipes(tmp_path, "simchony", "frankot-chellappa"), "--memory")
     record, said = compare(painting, *words, "1MiB", code=2)
     assert "integrator: simchony: needs" in said
-    assert "MiB of memory, but --memory allows 1.0 MiB" in said
+    assert "GiB of memory, but --memory allows 1.0 MiB" in said
     assert [run["stages"] for run in record["runs"]] == [[], []]
     assert "--memory: " in compare(painting, *words, "much", code=2)[1]
