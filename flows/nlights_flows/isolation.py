@@ -20,6 +20,7 @@ from nlights_core.errors import TileError
 from nlights_core.registry import installed
 from nlights_core.store import ArtefactRef, Progress, Store, Work, sweep
 from nlights_flows import children
+from nlights_flows.explaining import explained
 
 
 def ensure(
@@ -161,8 +162,6 @@ def _decoded(argument: dict[str, Any]) -> Any:
 
 def _done(job: dict[str, Any], progress: Progress) -> dict[str, Any]:
     """Run a job's stage and say what came of it."""
-    from nlights_flows.running import explained
-
     store = Store(Path(job["store"]))
     arguments: list[Any] = []
     try:

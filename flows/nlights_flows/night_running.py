@@ -18,6 +18,7 @@ from nlights_core.publishing import publish
 from nlights_core.store import make_writable
 from nlights_flows import console, dask_runner
 from nlights_flows.claims import Claims
+from nlights_flows.explaining import explained
 from nlights_flows.night_checking import in_store, require_usable
 from nlights_flows.night_estimates import learnt, require_disk
 from nlights_flows.night_inbox import Candidate, Inbox, require_inbox, scan
@@ -35,7 +36,7 @@ from nlights_flows.night_record import (
     write_record,
 )
 from nlights_flows.night_trends import measured, trends
-from nlights_flows.running import Around, Outcome, explained, run_directly
+from nlights_flows.running import Around, Outcome, run_directly
 
 LOOK = 2.0
 """Seconds between two looks at tiles that another night is at."""

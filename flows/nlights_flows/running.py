@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import errno
 import time
-import traceback
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +17,7 @@ from nlights_core.store import ArtefactRef, Store, Work
 from nlights_core.surveys import survey
 from nlights_flows import isolation
 from nlights_flows.chain import digitise_tile
+from nlights_flows.explaining import explained
 from nlights_flows.photographs import Photographs
 
 
@@ -180,23 +179,3 @@ def attempt(
     except (Exception, SystemExit) as fault:  # a plugin may even call sys.exit
         message = explained(fault, store)
     return Outcome(tile.artwork, tile.name, state, folder, message, time.monotonic() - started)
-
-
-def explained(fault: BaseException, store: Store) -> str:
-    """A fault as a sentence: what happened and what to do."""
-    if isinstance(fault, NlightsError):
-        return str(fault)
-    if isinstance(fault, OSError):
-        if fault.errno in (errno.ENOSPC, errno.EDQUOT):
-            return (
-                f"{fault.filename or store.root}: the disk is full; nothing half-written was left; free some "
-                "space or choose another --store or --out, and run again: what is finished is kept"
-            )
-        return f"{fault.filename or store.root}: {fault.strerror or fault}"
-    if isinstance(fault, MemoryError):
-        return f"not enough memory ({fault}); close other programs or use a larger machine"
-    where = traceback.extract_tb(fault.__traceback__)[-1]
-    return (
-        f"a defect, not your data: {type(fault).__name__}: {fault} "
-        f"({Path(where.filename).name}:{where.lineno}); please report it to the author of the algorithm"
-    )
