@@ -17,24 +17,24 @@ import threading
 import time
 import uuid
 from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import CancelledError, Future
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from xxhash import xxh3_128
-
 from nlights_core.algorithms import Algorithm
+from nlights_core.digests import by_reading
 from nlights_core.errors import CaptureError, TileError
 from nlights_core.registry import code_digest, core_digest, installed
 
 RECORD = "artefact.json"
 
-CHUNK = 1 << 20
-"""Bytes that are hashed at a time: they fit into a core's cache, and seldom ask for Python's lock."""
-
 _reading: dict[Path, threading.Lock] = {}
 """Of files whose digest somebody of this process asked for: who asks meanwhile waits instead of reading too."""
+
+_promised: dict[Path, Future[Any]] = {}
+"""Of files whose digest somebody of this process will find, by better means: who asks waits for it."""
 
 
 @dataclass(frozen=True)
@@ -173,24 +173,35 @@ class Store:
         finally:
             shutil.rmtree(own, ignore_errors=True)
 
-    def digest(self, path: Path) -> str:
+    def digest(self, path: Path, find: Callable[[Path], str] | None = None) -> str:
         """XXH3 digest of a file's content, 32 hexadecimal digits; remembered by path, size and time of change.
+
+        Parameters
+        ----------
+        path : Path
+            Of the file.
+        find : callable, optional
+            How it is found where it is not remembered.  By default, who `promised` it is awaited; where
+            nobody did, the file is read.
 
         Raises
         ------
         TileError
             When the file cannot be read.
         """
+        if find is None and (promise := _promised.get(path)):
+            with suppress(CancelledError):
+                promise.exception()  # waits; what was found is remembered, and if nothing was, it is read below
         with _reading.setdefault(path, threading.Lock()):
             try:
-                return self._digest(path)
+                return self._digest(path, find or by_reading)
             except OSError as fault:
                 reason = "there is no such file" if isinstance(fault, FileNotFoundError) else fault.strerror
                 raise TileError(
                     f"{path}: cannot be read ({reason}); put the photograph there or correct its name"
                 ) from fault
 
-    def _digest(self, path: Path) -> str:
+    def _digest(self, path: Path, find: Callable[[Path], str]) -> str:
         status = path.stat()
         memory = self.root / ".digests" / hashlib.sha256(str(path).encode()).hexdigest()[:32]
         stamp = f"{status.st_size} {status.st_mtime_ns} {status.st_ctime_ns} {status.st_ino}"
@@ -198,11 +209,7 @@ class Store:
             known, _, digest = memory.read_text().partition("\n")
             if known == stamp and len(digest) == 32:
                 return digest
-        content, chunk = xxh3_128(), memoryview(bytearray(CHUNK))
-        with path.open("rb", buffering=0) as file:
-            while count := file.readinto(chunk):
-                content.update(chunk[:count])
-        digest = content.hexdigest()
+        digest = find(path)
         if self.root.is_dir():
             write_whole(memory, f"{stamp}\n{digest}")
         return digest
@@ -216,6 +223,24 @@ class Store:
             Naming the folder and the reason.
         """
         make_writable(self.root, "--store")
+
+
+@contextmanager
+def promised(digests: Mapping[Path, Future[Any]]) -> Iterator[None]:
+    """Have who asks for the digests of these files wait, instead of being faster with lesser means.
+
+    Parameters
+    ----------
+    digests : mapping of paths to futures
+        Done when the digest was found by `Store.digest` with a ``find``, or could not be.
+    """
+    _promised.update(digests)
+    try:
+        yield
+    finally:
+        for path, digest in digests.items():
+            if _promised.get(path) is digest:  # or another tile promised it as well
+                del _promised[path]
 
 
 def make_writable(folder: Path, option: str) -> None:

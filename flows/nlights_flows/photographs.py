@@ -14,10 +14,14 @@ from nlights_core.capture import Tile
 from nlights_core.errors import TileError
 from nlights_core.recipe import Recipe
 from nlights_core.stages import FLATS
-from nlights_core.store import Store
+from nlights_core.store import Store, promised
+from nlights_flows.mappers import Mapper
 
 Stamp = tuple[int, int, int]
 """Size, time of change in ns, inode."""
+
+THREADS = 4
+"""That find digests, at most: they soon take all that the memory gives."""
 
 
 @dataclass(frozen=True)
@@ -66,18 +70,7 @@ class Photographs:
         ]
         paths += tile.frames.values()
 
-        def digest(path: Path, stamp: Stamp) -> str | None:
-            with suppress(OSError, TileError):  # the stage that reads it will say what is wrong
-                found = store.digest(path)
-                return found if _stamp(path) == stamp else None
-            return None
-
-        pool = ThreadPoolExecutor(cores(), thread_name_prefix="digests")
-        stamps = {}
-        try:
-            for path in paths:
-                with suppress(OSError):
-                    stamps[path] = (stamp := _stamp(path)), pool.submit(digest, path, stamp)
+        with _stamped(paths, store) as stamps:
             seen = cls(store, tile, stamps, frozenset(_artefacts(store, tile)))
             try:
                 yield seen
@@ -88,8 +81,6 @@ class Photographs:
                 raise
             if changed := seen._changed():
                 raise changed
-        finally:
-            pool.shutdown(cancel_futures=True)
 
     def _changed(self) -> TileError | None:
         """What to say of photographs that are not what they were; what was made meanwhile is gone then."""
@@ -111,6 +102,38 @@ class Photographs:
             return _stamp(path) == stamp or self.store.digest(path) == digest.result()
         except (OSError, TileError):
             return False
+
+
+@contextmanager
+def _stamped(paths: list[Path], store: Store) -> Iterator[dict[Path, tuple[Stamp, Future[str | None]]]]:
+    """Stamps of files, and their digests, which are being found until the block ends."""
+    threads = min(cores(), THREADS)
+    idle = [Mapper() for _ in range(threads)]
+    mappers = tuple(idle)
+
+    def digest(path: Path, stamp: Stamp) -> str | None:
+        mapper = idle.pop()  # there is one for each thread
+        try:
+            found = store.digest(path, mapper.digest)
+            return found if _stamp(path) == stamp else None
+        except (OSError, TileError):  # the stage that reads it will say what is wrong
+            return None
+        finally:
+            idle.append(mapper)
+
+    pool = ThreadPoolExecutor(threads, thread_name_prefix="digests")
+    stamps = {}
+    try:
+        for path in paths:
+            with suppress(OSError):
+                stamps[path] = (stamp := _stamp(path)), pool.submit(digest, path, stamp)
+        with promised({path: found for path, (_, found) in stamps.items()}):
+            yield stamps
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)
+        for mapper in mappers:
+            mapper.stop()
+        pool.shutdown()
 
 
 def _stamp(path: Path) -> Stamp:
