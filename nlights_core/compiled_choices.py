@@ -21,6 +21,7 @@ from nlights_core.compiled_fits import (
     ZERO,
     Work,
     compiled,
+    count_usable,
     inverted,
     leverage,
     missed_by,
@@ -76,11 +77,7 @@ def _trim(samples: Array, rows: Array, darkest: float, brightest: float) -> None
     A sample is at least as bright as the one of a rank if more samples than that are no brighter.
     """
     first, last, upto, below = rows[0], rows[1], rows[2], rows[3]
-    for p in range(BLOCK):
-        last[p] = ZERO
-    for i in range(len(samples)):
-        for p in range(BLOCK):
-            last[p] += ONE if samples[i, USABLE + p] > ZERO else ZERO
+    count_usable(samples, last)
     for p in range(BLOCK):
         count = np.float64(last[p])
         first[p] = np.float32(np.floor(darkest * count))
@@ -109,11 +106,7 @@ def _discard(samples: Array, fit: Array, rows: Array, keep: int, condition: floa
     """
     counts, worst, unsure, largest = rows[0], rows[1], rows[2], rows[3]
     sure = surely_determined(condition)
-    for p in range(BLOCK):
-        counts[p] = ZERO
-    for i in range(len(samples)):
-        for p in range(BLOCK):
-            counts[p] += ONE if samples[i, USABLE + p] > ZERO else ZERO
+    count_usable(samples, counts)
     for p in range(BLOCK):
         unsure[p] = ZERO if fit[DETERMINANT + p] > sure else counts[p]
     for _ in range(len(samples) - keep):

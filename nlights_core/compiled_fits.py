@@ -124,6 +124,17 @@ def copy(source: Array, target: Array) -> None:
 
 
 @compiled
+def count_usable(samples: Array, counts: Array) -> None:
+    """How many samples of each pixel are usable."""
+    for p in range(BLOCK):
+        counts[p] = ZERO
+    for i in range(len(samples)):
+        of = samples[i]
+        for p in range(BLOCK):
+            counts[p] += ONE if of[USABLE + p] > ZERO else ZERO
+
+
+@compiled
 def normal_equations(samples: Array, fit: Array) -> None:
     """Sums of ``w l l^T`` and ``w I l`` with the trial weights: `MATRIX` and `RIGHT` of a fit."""
     for k in range(MATRIX, DETERMINANT):

@@ -26,6 +26,7 @@ from nlights_core.compiled_fits import (
     add_sample,
     compiled,
     copy,
+    count_usable,
     inverted,
     leverage,
     missed_by,
@@ -186,14 +187,9 @@ def _scales(samples: Array, missed: Array, quantiles: Array, scale: Array, rows:
     """
     bits, found = missed.view(np.int32), scale.view(np.int32)
     counts, ranks, below = rows[0], rows[1].view(np.int32), rows[2].view(np.int32)
+    count_usable(samples, counts)
     for p in range(BLOCK):
-        counts[p] = ZERO
         found[p] = 0
-    for i in range(len(samples)):
-        of = samples[i]
-        for p in range(BLOCK):
-            counts[p] += ONE if of[USABLE + p] > ZERO else ZERO
-    for p in range(BLOCK):
         ranks[p] = (np.int32(counts[p]) + 4) >> 1
     for shift in range(30, -1, -1):
         bit = np.int32(1 << shift)

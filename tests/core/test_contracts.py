@@ -1,5 +1,6 @@
 """The contracts, tested by mutants: each fault must be caught by the test meant for it."""
 
+import time
 from pathlib import Path
 from typing import ClassVar
 
@@ -339,6 +340,17 @@ class RestlessNormals(LeastSquares):
         return found._replace(normals=(found.normals + noise).astype(np.float32))
 
 
+class OneDeskForAll(LeastSquares):
+    """What one thread puts there, another takes."""
+
+    desk: ClassVar[dict] = {}
+
+    def solve(self, images, lights, weights):
+        self.desk["images"] = images
+        time.sleep(0.01)
+        return super().solve(self.desk["images"], lights, weights)
+
+
 class NegativeConfidence(LeastSquares):
     def solve(self, images, lights, weights):
         found = super().solve(images, lights, weights)
@@ -560,6 +572,7 @@ CAUGHT = {
     RowsLeaningOnTheirBand: "each_pixel_stands_for_itself",
     GuessFromLightsInOnePlane: "lights_in_one_plane_give_nan",
     RestlessNormals: "twice_the_same",
+    OneDeskForAll: "several_threads_may_ask_at_once",
     NegativeConfidence: "the_solution_is_float32_of_the_bands_shape",
     ConfidenceInRadians: "the_confidence_covers_68_percent_of_the_errors",
     CorrectedHeight: "a_smooth_deformation_is_found",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from typing import ClassVar
 
 import numpy as np
@@ -150,6 +151,16 @@ class NormalSolverContract(AlgorithmContract):
         """The store takes equal keys for equal results."""
         first, second = (self.algorithm.solve(*self.lit()).normals for _ in range(2))
         check(np.array_equal(first, second), "two runs differ")
+
+    def test_several_threads_may_ask_at_once(self) -> None:
+        """Every core solves a band of its own with the same object."""
+        images, lights, weights = self.lit()
+        darker = [images * np.float32(1 - 0.1 * k) for k in range(8)]
+        alone = [self.algorithm.solve(one, lights, weights).albedo for one in darker]
+        with ThreadPoolExecutor(4) as pool:
+            together = pool.map(lambda one: self.algorithm.solve(one, lights, weights).albedo, darker)
+            alike = [np.array_equal(*both) for both in zip(alone, together, strict=True)]
+        check(all(alike), "bands that are solved at the same time disturb each other")
 
 
 class NormalDetrendContract(AlgorithmContract):
