@@ -8,8 +8,10 @@ import numpy as np
 from pydantic import Field
 
 from nlights_core.algorithms import HeightDetrend
+from nlights_core.band_threads import in_order
 from nlights_core.fields import HeightMap
 from nlights_core.frames import Array
+from nlights_core.integration import bands
 
 BAND = 256
 """Rows that are worked on at once."""
@@ -63,13 +65,22 @@ def parabolic_coefficients(height: Array, terms: Terms = "3x3") -> Array:
     """
     rows, columns = height.shape
     x, y = _powers(columns, 5), _powers(rows, 5)
-    moments, products = np.zeros((5, 5)), np.zeros((3, 3))
-    for start in range(0, rows, BAND):
-        lines = slice(start, min(start + BAND, rows))
+
+    def sums(lines: slice) -> tuple[Array, Array]:
         known = np.isfinite(height[lines])
         z = np.where(known, height[lines], 0).astype(np.float64)
-        moments += x @ known.T @ y[:, lines].T
-        products += x[:3] @ z.T @ y[:3, lines].T
+        # No matrix product: what it rounds depends on how many threads share it.
+        counts = np.einsum("aw,hw->ah", x, known.astype(np.float64))
+        lifted = np.einsum("aw,hw->ah", x[:3], z)
+        return (
+            np.einsum("ah,bh->ab", counts, y[:, lines]),
+            np.einsum("ah,bh->ab", lifted, y[:3, lines]),
+        )
+
+    moments, products = np.zeros((5, 5)), np.zeros((3, 3))
+    for moment, product in in_order(sums, bands(rows, BAND)):
+        moments += moment
+        products += product
     a, b = _exponents(terms)
     normal = moments[a[:, None] + a, b[:, None] + b]
     coefficients = np.zeros((3, 3))
@@ -93,12 +104,15 @@ def parabolic_surface(coefficients: Array, shape: tuple[int, int]) -> Array:
         In the unit of the coefficients.
     """
     rows, columns = shape
-    per_row = coefficients.T @ _powers(columns, 3)
+    per_row = np.einsum("ab,aw->bw", coefficients, _powers(columns, 3))
     y = _powers(rows, 3)
     surface = np.empty(shape, np.float32)
-    for start in range(0, rows, BAND):
-        lines = slice(start, min(start + BAND, rows))
-        surface[lines] = y[:, lines].T @ per_row
+
+    def fill(lines: slice) -> None:
+        surface[lines] = np.einsum("bh,bw->hw", y[:, lines], per_row)
+
+    for _ in in_order(fill, bands(rows, BAND)):
+        pass
     return surface
 
 

@@ -1,5 +1,9 @@
 """The parabolic fit finds parabolas, whatever else is unknown."""
 
+import os
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -101,3 +105,17 @@ def test_the_height_is_not_overwritten():
     before = z.height.copy()
     ParabolicFit().trend(z)
     assert np.array_equal(z.height, before)
+
+
+def test_the_number_of_threads_changes_no_bit():
+    code = (
+        "import numpy as np\n"
+        "from nlights_plugins.height_detrends import parabolic_coefficients\n"
+        "z = np.random.default_rng(0).random((750, 1000), np.float32)\n"
+        "print(parabolic_coefficients(z).tobytes().hex())\n"
+    )
+    said = {
+        subprocess.check_output([sys.executable, "-c", code], env=os.environ | {"OPENBLAS_NUM_THREADS": n})
+        for n in ("1", "2")
+    }
+    assert len(said) == 1
