@@ -88,10 +88,11 @@ class Noise:
         used = weights > 0
         count = np.maximum(np.count_nonzero(used, axis=0), 1).astype(np.float32)
         reading = np.where(used, images, np.float32(0)).sum(axis=0) / count
-        # A black pixel has readout noise only, and its normal will not be known.
+        # A black pixel has readout noise only, infinite beside its light, and its normal will not be known.
         reading = np.maximum(reading, np.finfo(np.float32).tiny)
-        for weight in weights:
-            np.divide(weight, 1 + constant / (np.where(weight > 0, weight, 1) * reading), out=weight)
+        with np.errstate(over="ignore", divide="ignore"):
+            for weight in weights:
+                np.divide(weight, 1 + constant / (np.where(weight > 0, weight, 1) * reading), out=weight)
 
     @classmethod
     def of_sensor(cls, sensor: Sensor, channels: int, dark: bool) -> Noise:

@@ -93,6 +93,14 @@ def test_weights_are_the_inverse_variance_of_a_reading():
     np.testing.assert_allclose(albedo / weights[0, :, 0], variance, rtol=0.03)
 
 
+def test_black_pixels_get_no_weight_and_no_warning():
+    noise = Noise(np.full(3, 5e-5), np.full(3, 4e-7))
+    weights = np.ones((8, 2, 2), np.float32)
+    weights[:, 1] = 0
+    noise.with_readout(weights, np.zeros((8, 2, 2), np.float32), np.full(3, 1 / 3, np.float32))
+    assert (weights == 0).all()
+
+
 def test_a_stated_sensor_is_believed_and_noise_is_kept_exactly(tmp_path):
     sensor = Sensor(electrons_at_saturation=40_000, read_noise_electrons=3)
     stated = Noise.of_sensor(sensor, 3, dark=True)
