@@ -33,7 +33,7 @@ from nlights_core.compiled_fits import (
 from nlights_core.compiled_medians import take_medians
 from nlights_core.compiled_reweighting import reweigh_blocks
 from nlights_core.frames import Array
-from nlights_core.kernels import Kernel, Rule
+from nlights_core.rules import Kernel, Rule
 
 _ROBUST, _PROGRESSIVE, _RANK_TRIM, _MEDIAN = (
     get_args(Kernel).index(name) for name in ("robust", "progressive", "rank-trim", "median-of-triplets")

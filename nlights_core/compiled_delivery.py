@@ -19,7 +19,8 @@ from nlights_core.compiled_development import (
 from nlights_core.compiled_fits import BLOCK, ONE, TRIAL, VALUE, ZERO, Work, X, Y, Z, compiled, copy
 from nlights_core.compiled_solutions import ALBEDO, NORMAL, RESIDUAL, UNCERTAINTY, solve_blocks
 from nlights_core.frames import Array
-from nlights_core.kernels import Images, Rule
+from nlights_core.kernels import Images
+from nlights_core.rules import Rule
 from nlights_core.strips import Blocks, Optics, Strip
 
 # Of the scratch of a block: sums of w s^2 and of what a flat surface would show; number of used lights.

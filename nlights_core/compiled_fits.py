@@ -108,7 +108,15 @@ def _digest() -> str:
     )
     files = map(
         Path(__file__).with_name,
-        (*own, "strips.py", "kernels.py", "algorithms.py", "least_squares.py", "robust_fitting.py"),
+        (
+            *own,
+            "strips.py",
+            "kernels.py",
+            "rules.py",
+            "algorithms.py",
+            "least_squares.py",
+            "robust_fitting.py",
+        ),
     )
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:12]
 

@@ -30,8 +30,8 @@ from nlights_core.compiled_fits import (
     surely_determined,
 )
 from nlights_core.frames import Array
-from nlights_core.kernels import Rule
 from nlights_core.least_squares import COVERING, FORESEEN
+from nlights_core.rules import Rule
 
 # Of a solution, in an array (FOUND,):
 NORMAL, ALBEDO, UNCERTAINTY, RESIDUAL = 0, 3 * BLOCK, 4 * BLOCK, 5 * BLOCK

@@ -28,10 +28,11 @@ from nlights_core.development import Band, Darkroom, Exposure, Rows, grey_shares
 from nlights_core.fields import LightField
 from nlights_core.frames import Array
 from nlights_core.images import EYE
-from nlights_core.kernels import Images, Rule, rule_of, scratch
+from nlights_core.kernels import Images, rule_of, scratch
 from nlights_core.least_squares import UsableLights
 from nlights_core.memory import band_memory
 from nlights_core.plates import Plate
+from nlights_core.rules import Rule
 from nlights_core.strips import Blocks, Optics, Strip
 
 STRIP = 1 << 19

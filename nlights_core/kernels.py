@@ -5,19 +5,17 @@ from __future__ import annotations
 import importlib.util
 import os
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from nlights_core.algorithms import NormalSolver, Solution
 from nlights_core.band_threads import in_order
 from nlights_core.frames import Array
+from nlights_core.rules import Rule, rule
 
 if TYPE_CHECKING:
     from nlights_core.compiled_fits import Work
-
-Kernel = Literal["least-squares", "robust", "progressive", "rank-trim", "median-of-triplets"]
-"""Whose work a kernel does."""
 
 SWITCH = "NLIGHTS_KERNELS"
 """Environment variable; "off" leaves all work to numpy, with the same results."""
@@ -27,31 +25,6 @@ SAMPLES = 1 << 13
 
 TASK = 1 << 14
 """Pixels that are one task of a thread; a multiple of a block."""
-
-
-class Rule(NamedTuple):
-    """To which of its usable samples a pixel is fitted.
-
-    Attributes
-    ----------
-    way : int
-        Place of the `Kernel` among all.
-    condition : float
-        Option of `nlights_core.least_squares.UsableLights`.
-    keep : int
-        Option of ``progressive``: how many samples are left in the end.
-    darkest, brightest : float
-        Options of ``rank-trim``: shares that are dropped.
-    most : int
-        Option of ``median-of-triplets``: how many triplets are solved at most.
-    """
-
-    way: int
-    condition: float
-    keep: int = 0
-    darkest: float = 0.0
-    brightest: float = 0.0
-    most: int = 0
 
 
 class Images(NamedTuple):
@@ -70,12 +43,6 @@ class Images(NamedTuple):
 def available() -> bool:
     """Whether there are compiled kernels: numba is installed and the switch is not off."""
     return os.environ.get(SWITCH) != "off" and importlib.util.find_spec("numba") is not None
-
-
-def rule(kernel: Kernel, condition: float, **options: Any) -> Rule:
-    """The rule of a kernel with the options of its solver, of which there may be more."""
-    known = {name: value for name, value in options.items() if name in Rule._fields}
-    return Rule(get_args(Kernel).index(kernel), condition, **known)
 
 
 def rule_of(solver: NormalSolver) -> Rule | None:

@@ -7,6 +7,7 @@ from functools import partial
 from nlights_core import kernels, least_squares, robust_fitting
 from nlights_core.algorithms import Solution
 from nlights_core.frames import Array
+from nlights_core.rules import rule
 
 
 def robust_solution(
@@ -26,7 +27,7 @@ def robust_solution(
     Solution
     """
     if kernels.available():
-        return kernels.solve(kernels.rule("robust", condition), images, lights, weights, shadow)
+        return kernels.solve(rule("robust", condition), images, lights, weights, shadow)
     solved = partial(_by_numpy, shadow=shadow, condition=condition)
     return robust_fitting.in_blocks(solved, images, lights, weights)
 

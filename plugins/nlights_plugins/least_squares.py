@@ -6,6 +6,7 @@ from nlights_core import kernels, least_squares
 from nlights_core.algorithms import Solution
 from nlights_core.frames import Array
 from nlights_core.least_squares import UsableLights
+from nlights_core.rules import Kernel, rule
 
 
 class LeastSquares(UsableLights):
@@ -16,13 +17,11 @@ class LeastSquares(UsableLights):
     """
 
     name: ClassVar[str] = "least-squares"
-    kernel: ClassVar[kernels.Kernel] = "least-squares"
+    kernel: ClassVar[Kernel] = "least-squares"
 
     def solve(self, images: Array, lights: Array, weights: Array) -> Solution:
         if kernels.available():
-            return kernels.solve(
-                kernels.rule(self.kernel, **self.model_dump()), images, lights, weights, self.shadow
-            )
+            return kernels.solve(rule(self.kernel, **self.model_dump()), images, lights, weights, self.shadow)
         usable = least_squares.lit(images, weights, self.shadow)
         found = least_squares.fit(images, lights, usable, self.condition)
         return least_squares.solution(images, lights, usable, found)

@@ -9,6 +9,7 @@ from nlights_core import kernels, least_squares, robust_fitting
 from nlights_core.algorithms import Solution
 from nlights_core.frames import Array
 from nlights_core.least_squares import UsableLights
+from nlights_core.rules import Kernel, rule
 
 
 class MedianOfTriplets(UsableLights):
@@ -20,7 +21,7 @@ class MedianOfTriplets(UsableLights):
     """
 
     name: ClassVar[str] = "median-of-triplets"
-    kernel: ClassVar[kernels.Kernel] = "median-of-triplets"
+    kernel: ClassVar[Kernel] = "median-of-triplets"
 
     most: int = Field(
         default=120,
@@ -32,8 +33,8 @@ class MedianOfTriplets(UsableLights):
 
     def solve(self, images: Array, lights: Array, weights: Array) -> Solution:
         if kernels.available():
-            rule = kernels.rule(self.kernel, **self.model_dump())
-            return kernels.solve(rule, images, lights, weights, self.shadow)
+            chosen = rule(self.kernel, **self.model_dump())
+            return kernels.solve(chosen, images, lights, weights, self.shadow)
         return robust_fitting.in_blocks(self._solved, images, lights, weights)
 
     def _solved(self, images: Array, lights: Array, weights: Array) -> Solution:

@@ -9,6 +9,7 @@ from nlights_core import kernels, least_squares
 from nlights_core.algorithms import Solution
 from nlights_core.frames import Array
 from nlights_core.least_squares import UsableLights
+from nlights_core.rules import Kernel, rule
 
 
 class Progressive(UsableLights):
@@ -21,15 +22,13 @@ class Progressive(UsableLights):
     """
 
     name: ClassVar[str] = "progressive"
-    kernel: ClassVar[kernels.Kernel] = "progressive"
+    kernel: ClassVar[Kernel] = "progressive"
 
     keep: int = Field(default=5, ge=3, description="how many lights are left in the end")
 
     def solve(self, images: Array, lights: Array, weights: Array) -> Solution:
         if kernels.available():
-            return kernels.solve(
-                kernels.rule(self.kernel, **self.model_dump()), images, lights, weights, self.shadow
-            )
+            return kernels.solve(rule(self.kernel, **self.model_dump()), images, lights, weights, self.shadow)
         usable = least_squares.lit(images, weights, self.shadow)
         found = least_squares.fit(images, lights, usable, self.condition)
         for _ in range(len(images) - self.keep):

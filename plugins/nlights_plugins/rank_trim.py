@@ -8,6 +8,7 @@ from nlights_core import kernels, least_squares, robust_fitting
 from nlights_core.algorithms import Solution
 from nlights_core.frames import Array
 from nlights_core.least_squares import UsableLights
+from nlights_core.rules import Kernel, rule
 
 
 class RankTrim(UsableLights):
@@ -19,7 +20,7 @@ class RankTrim(UsableLights):
     """
 
     name: ClassVar[str] = "rank-trim"
-    kernel: ClassVar[kernels.Kernel] = "rank-trim"
+    kernel: ClassVar[Kernel] = "rank-trim"
 
     darkest: float = Field(
         default=0.2,
@@ -33,9 +34,7 @@ class RankTrim(UsableLights):
 
     def solve(self, images: Array, lights: Array, weights: Array) -> Solution:
         if kernels.available():
-            return kernels.solve(
-                kernels.rule(self.kernel, **self.model_dump()), images, lights, weights, self.shadow
-            )
+            return kernels.solve(rule(self.kernel, **self.model_dump()), images, lights, weights, self.shadow)
         return robust_fitting.in_blocks(self._solved, images, lights, weights)
 
     def _solved(self, images: Array, lights: Array, weights: Array) -> Solution:

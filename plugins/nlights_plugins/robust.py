@@ -2,11 +2,11 @@
 
 from typing import ClassVar
 
-from nlights_core import kernels
 from nlights_core.algorithms import Solution
 from nlights_core.frames import Array
 from nlights_core.least_squares import UsableLights
 from nlights_core.robust_solving import robust_solution
+from nlights_core.rules import Kernel
 
 
 class Robust(UsableLights):
@@ -19,7 +19,7 @@ class Robust(UsableLights):
     """
 
     name: ClassVar[str] = "robust"
-    kernel: ClassVar[kernels.Kernel] = "robust"
+    kernel: ClassVar[Kernel] = "robust"
 
     def solve(self, images: Array, lights: Array, weights: Array) -> Solution:
         return robust_solution(images, lights, weights, self.shadow, self.condition)
