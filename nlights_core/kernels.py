@@ -106,7 +106,8 @@ def scratch(count: int, rule: Rule) -> Work:
     from nlights_core.robust_fitting import chosen_triplets, scale_quantiles
 
     blocks = max(SAMPLES // (count * BLOCK), 1)
-    triplets = chosen_triplets(count, rule.most)
+    # Of a hundred lights there are so many triplets that only who asks for them shall wait.
+    triplets = chosen_triplets(count, rule.most) if rule.most else np.empty((0, 3), np.int64)
     return Work(
         samples=np.empty((blocks, count, SAMPLE), np.float32),
         fits=np.empty((blocks, FIT), np.float32),

@@ -7,6 +7,7 @@ of `nlights_core.least_squares` take them too.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 from itertools import combinations
 
 import numpy as np
@@ -185,6 +186,7 @@ def median_of_triplets(images: Array, lights: Array, weights: Array, most: int) 
     return np.stack([_weighted_median(component, shares) for component in said])
 
 
+@lru_cache(maxsize=8)
 def chosen_triplets(count: int, most: int) -> Array:
     """All triplets of so many lights, or a fixed random choice of ``most``: places, (T, 3) int64."""
     triplets = np.array(list(combinations(range(count), 3)), np.int64).reshape(-1, 3)
