@@ -9,7 +9,6 @@ import numpy as np
 import yaml
 
 from nlights_core.configurations import load_stand
-from nlights_core.export import BandTiff
 from nlights_core.frames import Array
 from nlights_core.testing.simulation import (
     BLACK_LEVEL,
@@ -20,6 +19,7 @@ from nlights_core.testing.simulation import (
     Studio,
     set_up,
 )
+from nlights_core.tiffs import BandTiff
 
 RENDERED = 1460
 """About how many columns are rendered; neighbouring pixels between them are interpolated."""

@@ -11,7 +11,7 @@ from nlights_core.band_threads import in_order
 from nlights_core.development import Darkroom, Exposure
 from nlights_core.frames import Array
 from nlights_core.images import Photograph, grey, is_saturated
-from nlights_core.kernels import available
+from nlights_core.kernel_switch import available
 
 
 class BlockMeans(NamedTuple):
@@ -94,7 +94,7 @@ def _means(
     info = photograph.info
     compiled = photograph.plain and available()
     if compiled:
-        from nlights_core.compiled_maps import line_means
+        from nlights_core.compiled_means import line_means
 
         numbers = np.empty((lines, info.columns, info.channels), info.dtype)
     for row in range(shape[0]):

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 
 from nlights_core import pictures, plots
-from nlights_core.export import block_means
 from nlights_core.figures import figure_of
 from nlights_core.frames import Array, PixelGrid
 from nlights_core.map_statistics import bias_angle, extremes, unevenness
 from nlights_core.pictures import Picture, Tick
+from nlights_core.reduction import block_means
 from nlights_core.viewing import srgb
 
 DETAIL = 640

@@ -11,16 +11,10 @@ from typing import Any, get_args
 import numba
 import numpy as np
 
+from nlights_core.blocks import BLOCK, ONE, TRIAL, USABLE, VALUE, ZERO, compiled
 from nlights_core.compiled_fits import (
-    BLOCK,
     DETERMINANT,
-    ONE,
-    TRIAL,
-    USABLE,
-    VALUE,
-    ZERO,
     Work,
-    compiled,
     count_usable,
     inverted,
     leverage,

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from nlights_core.blocks import BLOCK, ONE, TRIAL, VALUE, ZERO, X, Y, Z, compiled, copy
 from nlights_core.compiled_choices import fit_blocks
 from nlights_core.compiled_development import (
     INVERSE,
@@ -16,7 +17,7 @@ from nlights_core.compiled_development import (
     SHADOWED,
     develop,
 )
-from nlights_core.compiled_fits import BLOCK, ONE, TRIAL, VALUE, ZERO, Work, X, Y, Z, compiled, copy
+from nlights_core.compiled_fits import Work
 from nlights_core.compiled_solutions import ALBEDO, NORMAL, RESIDUAL, UNCERTAINTY, solve_blocks
 from nlights_core.frames import Array
 from nlights_core.kernels import Images

@@ -13,20 +13,7 @@ import numba
 import numpy as np
 
 from nlights_core.algorithms import PHOTONS
-from nlights_core.compiled_fits import (
-    BLOCK,
-    ONE,
-    TINY,
-    TRIAL,
-    USABLE,
-    VALUE,
-    ZERO,
-    X,
-    Y,
-    Z,
-    compiled,
-    copy,
-)
+from nlights_core.blocks import BLOCK, ONE, TINY, TRIAL, USABLE, VALUE, ZERO, X, Y, Z, compiled, copy
 from nlights_core.frames import Array
 from nlights_core.strips import Blocks, Optics, Strip
 

@@ -1,33 +1,19 @@
 """Compiled fits: weighted least squares over blocks of pixels, for numba.
 
-Pixels are taken in blocks of `BLOCK`.  The loop over the lights is outside and the loop over the
-pixels of a block inside, so that the compiler makes vector instructions of it, and all that a
-block needs stays in the processor's cache.  A block is a row of numbers (float32), in which each
-quantity has its place, `BLOCK` numbers long; the constants below are where the places begin.  A
-pixel's result does not depend on the block that it is in.
+A fit is a row of numbers, in which each quantity has its place; see `nlights_core.blocks`.
 
 Import this module only through `nlights_core.kernels`: it needs numba.
 """
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Callable
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numba
 import numpy as np
 
-from nlights_core.compiling import compiling
+from nlights_core.blocks import BLOCK, ONE, TINY, TRIAL, USABLE, VALUE, ZERO, X, Y, Z, compiled
 from nlights_core.frames import Array
-
-BLOCK = 128
-"""Pixels of a block."""
-
-# Of a sample, in an array (L, SAMPLE):
-VALUE, USABLE, TRIAL, X, Y, Z, SAMPLE = range(0, 7 * BLOCK, BLOCK)
-"""Grey, 0 where not usable; weight of a usable sample; weight in the fit; light; size of them all."""
 
 # Of a fit, in an array (FIT,):
 SCALED, MATRIX, RIGHT, DETERMINANT = 0, 3 * BLOCK, 9 * BLOCK, 12 * BLOCK
@@ -35,9 +21,7 @@ FIT = 13 * BLOCK
 """Albedo times normal; normal matrix or its inverse, upper triangle; right-hand side; determinant of the
 matrix scaled to a trace of 1; size of all."""
 
-TINY = np.float32(np.finfo(np.float32).tiny)
 INFINITE_BITS = np.int32(0x7F800000)
-ZERO, ONE = np.float32(0), np.float32(1)
 
 SURE = np.float32(1e-3)
 """Determinant of a normal matrix of trace 1 from which single precision is good enough."""
@@ -79,56 +63,6 @@ class Work(NamedTuple):
     places: Array
     triplets: Array
     said: Array
-
-
-def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile a function when it is first called; kept on disk for the next process.
-
-    A product and a sum may be rounded once instead of twice (`contract`); nothing else that changes
-    a result is allowed, least of all a guess about NaN.  What is compiled makes no arrays, and so
-    needs not count who uses them (`_nrt`): that counting took half of the time.
-    """
-    # numba goes by the date of a function's own file, but what is compiled holds code and constants
-    # of others too.  Where the folder cannot be written, numba takes the user's cache.
-    settings: Any = numba.config
-    chosen = settings.CACHE_DIR
-    settings.CACHE_DIR = str(Path(chosen or Path(__file__).parent / "__pycache__") / f"kernels-{_SOURCES}")
-    try:
-        made: Callable[..., Any] = compiling(fastmath={"contract"}, _nrt=False)(function)
-    finally:
-        settings.CACHE_DIR = chosen
-    return made
-
-
-def _digest() -> str:
-    """Of all that compiled code is made from."""
-    own = (
-        f"compiled_{name}.py"
-        for name in ("fits", "reweighting", "medians", "choices", "solutions", "development", "delivery")
-    )
-    files = map(
-        Path(__file__).with_name,
-        (
-            *own,
-            "strips.py",
-            "kernels.py",
-            "rules.py",
-            "algorithms.py",
-            "least_squares.py",
-            "robust_fitting.py",
-        ),
-    )
-    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:12]
-
-
-_SOURCES = _digest()
-
-
-@compiled
-def copy(source: Array, target: Array) -> None:
-    """Copy one row of numbers to another; an assignment of slices would make an array in between."""
-    for p in range(len(target)):
-        target[p] = source[p]
 
 
 @compiled

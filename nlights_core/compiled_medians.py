@@ -7,23 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from nlights_core.compiled_fits import (
-    BLOCK,
-    DETERMINANT,
-    ONE,
-    SCALED,
-    TRIAL,
-    USABLE,
-    VALUE,
-    ZERO,
-    Work,
-    X,
-    Y,
-    Z,
-    compiled,
-    solved_exactly,
-    surely_determined,
-)
+from nlights_core.blocks import BLOCK, ONE, TRIAL, USABLE, VALUE, ZERO, X, Y, Z, compiled
+from nlights_core.compiled_fits import DETERMINANT, SCALED, Work, solved_exactly, surely_determined
 from nlights_core.frames import Array
 
 _SIGN, _OTHERS = np.int32(-(2**31)), np.int32(2**31 - 1)

@@ -11,21 +11,14 @@ import numba
 import numpy as np
 
 from nlights_core.algorithms import PHOTONS
+from nlights_core.blocks import BLOCK, ONE, SAMPLE, TRIAL, USABLE, ZERO, compiled, copy
 from nlights_core.compiled_fits import (
-    BLOCK,
     DETERMINANT,
     FIT,
     MATRIX,
-    ONE,
-    SAMPLE,
     SCALED,
-    TRIAL,
-    USABLE,
-    ZERO,
     Work,
     add_sample,
-    compiled,
-    copy,
     count_usable,
     inverted,
     leverage,

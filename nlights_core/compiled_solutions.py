@@ -9,26 +9,9 @@ import numba
 import numpy as np
 
 from nlights_core.algorithms import PHOTONS
+from nlights_core.blocks import BLOCK, ONE, SAMPLE, TRIAL, USABLE, VALUE, ZERO, X, Y, Z, compiled
 from nlights_core.compiled_choices import fit_blocks
-from nlights_core.compiled_fits import (
-    BLOCK,
-    DETERMINANT,
-    MATRIX,
-    ONE,
-    SAMPLE,
-    SCALED,
-    TRIAL,
-    USABLE,
-    VALUE,
-    ZERO,
-    Work,
-    X,
-    Y,
-    Z,
-    compiled,
-    solved_exactly,
-    surely_determined,
-)
+from nlights_core.compiled_fits import DETERMINANT, MATRIX, SCALED, Work, solved_exactly, surely_determined
 from nlights_core.frames import Array
 from nlights_core.least_squares import COVERING, FORESEEN
 from nlights_core.rules import Rule

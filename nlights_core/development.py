@@ -18,7 +18,7 @@ from nlights_core.errors import TileError
 from nlights_core.fields import LightField
 from nlights_core.frames import Array, PixelGrid
 from nlights_core.images import EYE, ImageInfo, Photograph, grey, is_saturated
-from nlights_core.kernels import available
+from nlights_core.kernel_switch import available
 from nlights_core.memory import band_memory
 from nlights_core.noise import Noise, measure_noise
 from nlights_core.plates import Plate
@@ -371,7 +371,7 @@ def _related(
     photons: Array,
 ) -> Array:
     """As `_relative`, for near lamps without ambient light; ``photons`` (L, C) is the variance they bring."""
-    from nlights_core.compiled_overview import relate
+    from nlights_core.compiled_relation import relate
 
     assert lights.positions is not None
     relative = np.empty((len(images), *points.shape[1:], 3), np.float32)

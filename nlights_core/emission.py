@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nlights_core import integration, least_squares
+from nlights_core import integration
 from nlights_core.fields import LightField
 from nlights_core.frames import Array
 from nlights_core.lobes import UNKNOWNS, Readings, fitted, lens_terms, optical_axes, reduced
@@ -21,6 +21,8 @@ from nlights_core.stands import Stand
 
 LINEAR_MM = 20.0
 """How freely positions move while it is studied what the plate says about them."""
+WORST_CONDITION = 100.0
+"""Of the lights of a pixel whose flatness is looked at."""
 FALSE_ALARM = 0.001
 """How often a stand's file that fits may be doubted."""
 
@@ -201,10 +203,9 @@ def plate_fit(reading: Array, emission: Emission, stand: Stand, x: Array, y: Arr
     points = np.stack([*np.meshgrid(x, y), np.zeros((len(y), len(x)))])
     light = emission.lights.vectors(points)
     light = light / light[..., 2:]
-    weights = np.isfinite(images).astype(np.float32)
-    scaled = least_squares.fit(np.nan_to_num(images), light, weights, 100.0).scaled
+    scaled = _scaled_normals(images, light)
     step = float(x[1] - x[0])
-    per_column, per_row = -scaled[0] / scaled[2] * step, scaled[1] / scaled[2] * step
+    per_column, per_row = -scaled[..., 0] / scaled[..., 2] * step, scaled[..., 1] / scaled[..., 2] * step
     known = np.isfinite(per_column)
     if known.mean() < 0.5:
         return float("nan"), float("nan")
@@ -214,6 +215,18 @@ def plate_fit(reading: Array, emission: Emission, stand: Stand, x: Array, y: Arr
     base = np.stack([points[0], points[1], np.ones_like(height)], axis=-1)
     height = height - base @ np.linalg.lstsq(base[known], height[known], rcond=None)[0]
     return 1000 * float(np.ptp(height[known])), 1000 * float(np.std(height[known]))
+
+
+def _scaled_normals(images: Array, light: Array) -> Array:
+    """Normals times albedo of a few pixels (h, w, 3) by least squares, NaN where badly conditioned."""
+    # Apart from `nlights_core.least_squares`, so that a plate's artefact does not rest on the normal solvers.
+    known = np.isfinite(images)
+    matrix = np.einsum("lhw,lhwi,lhwj->hwij", known.astype(np.float64), light, light)
+    right = np.einsum("lhw,lhwi->hwi", np.where(known, images, 0), light)
+    well = (known.sum(axis=0) >= 3) & (np.linalg.cond(matrix) <= WORST_CONDITION**2)
+    matrix[~well] = np.eye(3)
+    solved = np.linalg.solve(matrix, right[..., None])[..., 0]
+    return np.where(well[..., None], solved, np.nan)
 
 
 def _variance_component(shifts: Array, covariance: Array, stated: float) -> tuple[float, float]:

@@ -16,13 +16,13 @@ from typing import Any
 
 import numpy as np
 
-from nlights_core import compiled_fits, verbs
+from nlights_core import verbs
 from nlights_core.agreement import AgreementMeter
 from nlights_core.algorithms import NormalSolver
 from nlights_core.band_threads import cores, in_order
+from nlights_core.blocks import BLOCK, SAMPLE, USABLE, VALUE, X, Y, Z
 from nlights_core.compiled_delivery import deliver, solve_strip, take
 from nlights_core.compiled_development import COUNTED, SCRATCH, cells, develop
-from nlights_core.compiled_fits import BLOCK
 from nlights_core.compiled_solutions import FOUND
 from nlights_core.development import Band, Darkroom, Exposure, Rows, grey_shares
 from nlights_core.fields import LightField
@@ -225,15 +225,15 @@ class FusedSolver:
         rows, columns = len(strip.y), len(strip.x)
         lamps = len(self.lights.lamps)
         count = rows * -(-columns // BLOCK)
-        blocks = self._blocks(np.empty((count, lamps, compiled_fits.SAMPLE), np.float32))
+        blocks = self._blocks(np.empty((count, lamps, SAMPLE), np.float32))
         develop(strip, self.optics, 0, np.float32(self.shadow), np.float32(0), blocks)
 
         def plane(offset: int) -> Array:
             planes = blocks.samples[..., offset : offset + BLOCK].reshape(rows, -1, lamps, BLOCK)
             return np.moveaxis(planes, 2, 0).reshape(lamps, rows, -1)[..., :columns]
 
-        grey, weights = plane(compiled_fits.VALUE), plane(compiled_fits.USABLE)
-        rays = np.stack([plane(k) for k in (compiled_fits.X, compiled_fits.Y, compiled_fits.Z)], axis=-1)
+        grey, weights = plane(VALUE), plane(USABLE)
+        rays = np.stack([plane(k) for k in (X, Y, Z)], axis=-1)
         saturated = np.zeros(grey.shape, bool)
         return blocks, Band(0, rows, grey[..., None], weights, saturated, rays, None, grey)
 

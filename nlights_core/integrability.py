@@ -55,7 +55,7 @@ def integrable_normals(
     Orthogonal projection onto integrable fields: R. T. Frankot, R. Chellappa, IEEE TPAMI 10
     (1988) 439-451, here with the free borders and the masks of the height.
     """
-    from nlights_core import compiled_maps as kernels
+    from nlights_core import compiled_integrability as kernels
 
     first, last = max(start - HALO, 0), min(stop + HALO, grid.rows)
     around, surface = normals[first:last], height[first:last]
@@ -90,9 +90,9 @@ def integrable_uncertainty(confidence: Array, start: int, stop: int) -> Array:
     -------
     (stop - start, W) float32 array
     """
-    from nlights_core import compiled_maps
+    from nlights_core import compiled_integrability
 
     first, last = max(start - 1, 0), min(stop + 1, len(confidence))
     out = np.empty((stop - start, confidence.shape[1]), np.float32)
-    compiled_maps.smoothed_uncertainty(confidence[first:last], start - first, OWN, AROUND, out)
+    compiled_integrability.smoothed_uncertainty(confidence[first:last], start - first, OWN, AROUND, out)
     return out

@@ -18,7 +18,7 @@ from numpy.typing import DTypeLike
 
 from nlights_core.band_threads import cores, in_order
 from nlights_core.frames import Array
-from nlights_core.kernels import available
+from nlights_core.kernel_switch import available
 
 Stencil = Literal["6-point", "trapezoid"]
 """How the step between two pixels follows from the gradients at the pixels around it."""

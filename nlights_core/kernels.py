@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-import importlib.util
-import os
 from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from nlights_core import least_squares, robust_fitting
 from nlights_core.algorithms import NormalSolver, Solution
 from nlights_core.band_threads import in_order
 from nlights_core.frames import Array
+from nlights_core.kernel_switch import available
 from nlights_core.rules import Rule, rule
 
 if TYPE_CHECKING:
     from nlights_core.compiled_fits import Work
 
-SWITCH = "NLIGHTS_KERNELS"
-"""Environment variable; "off" leaves all work to numpy, with the same results."""
 
 SAMPLES = 1 << 13
 """Samples (pixels times lights) that are worked on together: what is kept of them fits into a core's cache."""
@@ -38,11 +37,6 @@ class Images(NamedTuple):
     used: Array
     saturated: Array
     shadow: Array
-
-
-def available() -> bool:
-    """Whether there are compiled kernels: numba is installed and the switch is not off."""
-    return os.environ.get(SWITCH) != "off" and importlib.util.find_spec("numba") is not None
 
 
 def rule_of(solver: NormalSolver) -> Rule | None:
@@ -72,7 +66,7 @@ def solve(rule: Rule, images: Array, lights: Array, weights: Array, shadow: floa
         Equal to what numpy finds up to the rounding of single precision, and the same bits with any
         number of threads.
     """
-    from nlights_core.compiled_fits import BLOCK
+    from nlights_core.blocks import BLOCK
     from nlights_core.compiled_solutions import solve_pixels
 
     count, *shape = images.shape
@@ -101,7 +95,8 @@ def solve(rule: Rule, images: Array, lights: Array, weights: Array, shadow: floa
 
 def scratch(count: int, rule: Rule) -> Work:
     """Room for the blocks of pixels of so many lights that are worked on together by a rule."""
-    from nlights_core.compiled_fits import BLOCK, FIT, SAMPLE, Work
+    from nlights_core.blocks import BLOCK, SAMPLE
+    from nlights_core.compiled_fits import FIT, Work
     from nlights_core.compiled_solutions import FOUND
     from nlights_core.robust_fitting import chosen_triplets, scale_quantiles
 
@@ -133,3 +128,31 @@ def _plain(array: Array) -> Array:
     """As the kernels are compiled for: float32, contiguous."""
     # What is read-only would be another type to numba, and compiled once more.
     return np.require(array, np.float32, ["C", "W"])
+
+
+def robust_solution(
+    images: Array, lights: Array, weights: Array, shadow: float, condition: float
+) -> Solution:
+    """Solve a band by `nlights_core.robust_fitting.reweighted`.
+
+    Parameters
+    ----------
+    images, lights, weights : arrays
+        As for `nlights_core.algorithms.NormalSolver.solve`.
+    shadow, condition : float
+        Options of `nlights_core.least_squares.UsableLights`.
+
+    Returns
+    -------
+    Solution
+    """
+    if available():
+        return solve(rule("robust", condition), images, lights, weights, shadow)
+    solved = partial(_reweighted, shadow=shadow, condition=condition)
+    return robust_fitting.in_blocks(solved, images, lights, weights)
+
+
+def _reweighted(images: Array, lights: Array, weights: Array, shadow: float, condition: float) -> Solution:
+    usable = least_squares.lit(images, weights, shadow)
+    kept, found = robust_fitting.reweighted(images, lights, usable, condition)
+    return least_squares.solution(images, lights, kept, found)

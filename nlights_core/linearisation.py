@@ -15,7 +15,7 @@ from nlights_core import least_squares
 from nlights_core.development import Darkroom, Raw
 from nlights_core.fields import LightField
 from nlights_core.frames import Array
-from nlights_core.kernels import available
+from nlights_core.kernel_switch import available
 from nlights_core.plates import Plate
 
 STEP = 0.05

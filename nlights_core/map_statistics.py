@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from nlights_core.band_threads import in_order
-from nlights_core.export import bands
 from nlights_core.frames import Array, PixelGrid
+from nlights_core.reduction import bands
 
 SAMPLE = 2_000_000
 
@@ -116,13 +116,6 @@ def unevenness(reading: Array) -> float | None:
     values = np.asarray(reading, np.float64).mean(axis=-1)
     values = values[np.isfinite(values) & (values > 0)]
     return float(values.max() / values.min()) if values.size else None
-
-
-def sampled(array: Array) -> Array:
-    """Known values on a regular lattice of at most about `SAMPLE` pixels, (N,) float64."""
-    step = max(1, int(np.ceil(np.sqrt(array.shape[0] * array.shape[1] / SAMPLE))))
-    values = np.asarray(array[::step, ::step], np.float64)
-    return values[np.isfinite(values)]
 
 
 def misclosure(normals: Array, grid: PixelGrid) -> float | None:

@@ -9,7 +9,7 @@ from nlights_core.frames import Array
 from nlights_core.integration import Stencil, add_divergence, add_plane, mean_per_island, mean_steps
 from nlights_core.masked_poisson import solve_embedded
 from nlights_core.memory import require
-from nlights_core.weighted_poisson import MULTIGRID, solve_weighted
+from nlights_core.multigrid import MULTIGRID, solve_weighted
 
 SINGLE = 1e-6
 """Where single precision ends: a residual that has fallen to this share."""

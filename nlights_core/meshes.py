@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from nlights_core.band_threads import in_order
-from nlights_core.export import block_means
 from nlights_core.frames import Array, PixelGrid
+from nlights_core.reduction import block_means
 from nlights_core.viewing import srgb_codes
 
 REDUCED_PIXELS = 8_000_000

@@ -11,9 +11,12 @@ import numpy as np
 from nlights_core.band_threads import in_order
 from nlights_core.frames import Array
 from nlights_core.integration import BAND, bands
-from nlights_core.kernels import available
+from nlights_core.kernel_switch import available
 
 Result = TypeVar("Result")
+
+MULTIGRID = 64
+"""Bytes a pixel that `solve_weighted` and whoever prepares its steps take at the most."""
 
 DAMPING = 0.8
 """Share of a Jacobi step that is taken; below 1, so that a chequered error dies out too."""
@@ -263,3 +266,49 @@ def _dot(a: Array, b: Array) -> float:
         return float(np.einsum("ij,ij->", a[lines], b[lines], dtype=np.float64))
 
     return sum(_in_threads(work, a))
+
+
+def solve_weighted(
+    height: Array, residual: Array, weights: list[Array], tolerance: float, most_iterations: int = 200
+) -> None:
+    """Solve by flexible conjugate gradients, from ``height`` on and in place.
+
+    Parameters
+    ----------
+    height : (H, W) float array
+        Where it starts; becomes the solution, of any mean on each island.
+    residual : (H, W) float64 array
+        What `nlights_core.multigrid.weighted_laplacian` of the solution shall be.  Overwritten.
+    weights : two float32 arrays
+        ``across`` and ``down`` of `nlights_core.multigrid.weighted_laplacian`.
+    tolerance : float
+        It ends when the residual, in the norm of the preconditioner, has fallen to this share of
+        what it is for a plane.
+    most_iterations : int
+        It ends here in any case.
+
+    Notes
+    -----
+    Preconditioner and directions are float32, the residual float64: in float32 its sum over an
+    island is not quite zero, and with many small islands that diverges.
+    """
+    across, down = weights
+    preconditioner = Multigrid(across, down)
+    enough = tolerance**2 * _dot(residual, preconditioner.correct(residual))
+    left_over(residual, 1.0, height, across, down, residual)
+    direction = np.zeros(height.shape, np.float32)
+    stiffness = 1.0
+    for _ in range(most_iterations):
+        correction = preconditioner.correct(residual)
+        if _dot(residual, correction) <= enough:
+            break
+        share = np.float32(-overlap(correction, direction, across, down) / stiffness)
+        for lines in bands(len(height)):
+            direction[lines] *= share
+            direction[lines] += correction[lines]
+        del correction
+        stiffness = overlap(direction, direction, across, down)
+        length = _dot(direction, residual) / stiffness
+        left_over(residual, length, direction, across, down, residual)
+        for lines in bands(len(height)):
+            height[lines] += length * direction[lines].astype(np.float64)

@@ -7,7 +7,7 @@ import numpy as np
 from nlights_core.band_threads import in_order
 from nlights_core.frames import Array, PixelGrid
 from nlights_core.integration import BAND, Stencil, add_divergence, bands, mean_steps, solve_poisson
-from nlights_core.kernels import available
+from nlights_core.kernel_switch import available
 from nlights_core.masked_integration import solve_masked
 from nlights_core.memory import require
 from nlights_core.sight_lines import ALL, facing_rays, ray_slopes, seen_gradient, seen_surface

@@ -20,13 +20,12 @@ from nlights_core.development import BAND_BYTES, Darkroom, Raw, bands
 from nlights_core.errors import TileError
 from nlights_core.fields import LightField
 from nlights_core.frames import Array, PixelGrid
-from nlights_core.kernels import TASK
+from nlights_core.kernels import TASK, robust_solution
 from nlights_core.least_squares import UsableLights
 from nlights_core.levelling import Level, level
 from nlights_core.noise import Noise
 from nlights_core.normal_integration import least_squares_height
 from nlights_core.plates import Plate
-from nlights_core.robust_solving import robust_solution
 from nlights_core.solving import solved
 
 COLUMNS = 500

@@ -130,11 +130,11 @@ def hatch(colours: Array, known: Array) -> Array:
     (h, w, 3) uint8 array
         Or a multiple of that size.
     """
-    from nlights_core import compiled_maps
+    from nlights_core import compiled_pictures
 
     times = max(1, 600 // max(known.shape))
     out = np.empty((known.shape[0] * times, known.shape[1] * times, 3), np.uint8)
-    compiled_maps.hatched(np.ascontiguousarray(colours), known, times, out)
+    compiled_pictures.hatched(np.ascontiguousarray(colours), known, times, out)
     return out
 
 
@@ -215,13 +215,13 @@ def coloured(
     """
     from matplotlib import colormaps
 
-    from nlights_core import compiled_maps
+    from nlights_core import compiled_pictures
 
     low, high = ends
     table = (colormaps[colours](np.arange(256))[:, :3] * 255 + 0.5).astype(np.uint8)
     places = np.empty(values.shape, np.uint8)
     kind = values.dtype.type if values.dtype.kind == "f" else np.float64
-    compiled_maps.levels(values, kind(low), kind(high), kind(high - low), places)
+    compiled_pictures.levels(values, kind(low), kind(high), kind(high - low), places)
     picture = hatch(table[places], np.isfinite(values))
     strip = encode(np.broadcast_to(table, (1, 256, 3)), lossless=True)
     return encode(picture), ColourBar(label, strip, edge_ticks(low * scale, high * scale))

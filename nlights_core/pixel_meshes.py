@@ -9,8 +9,8 @@ import numpy as np
 
 from nlights_core import __version__
 from nlights_core.band_threads import in_order
-from nlights_core.export import bands
 from nlights_core.frames import Array, PixelGrid
+from nlights_core.reduction import bands
 from nlights_core.steady_files import SteadyFile
 from nlights_core.viewing import srgb_codes
 

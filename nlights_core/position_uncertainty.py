@@ -11,11 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nlights_core.export import block_means
 from nlights_core.fields import LightField
 from nlights_core.frames import Array, PixelGrid
 from nlights_core.integration import simchony
 from nlights_core.least_squares import COVERING, fit, multiply
+from nlights_core.reduction import block_means
 
 BLOCKS = 32
 """Blocks along the longer side of the field: the errors are smooth."""

@@ -5,12 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from nlights_core import products
+from nlights_core import products, report_writing
 from nlights_core.arrays import read_array
 from nlights_core.capture import Tile
-from nlights_core.export import Compression
-from nlights_core.store import ArtefactRef, Progress, Store, Work, describe
+from nlights_core.progress import Progress
+from nlights_core.store import ArtefactRef, Store, Work, describe
 from nlights_core.surveys import grid_of, survey
+from nlights_core.tiffs import Compression
 
 
 def maps(
@@ -96,6 +97,6 @@ def report(
     ref, record = describe("report", tile.artwork, tile.name, inputs=inputs, facts=facts)
 
     def make(folder: Path, progress: Progress) -> None:
-        products.write_report(folder, store, tile, record, inputs, grid_of(tile, survey(tile)))
+        report_writing.write_report(folder, store, tile, record, inputs, grid_of(tile, survey(tile)))
 
     return Work(ref, record, make)

@@ -17,9 +17,9 @@ from nlights_core.map_statistics import (
     mean_of,
     misclosure,
     relief,
-    sampled,
     unevenness,
 )
+from nlights_core.reduction import sampled
 
 if TYPE_CHECKING:
     from nlights_core.agreement import Agreement

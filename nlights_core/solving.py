@@ -21,12 +21,13 @@ from nlights_core.agreement import AgreementMeter, write_agreement
 from nlights_core.algorithms import NormalSolver, Solution
 from nlights_core.arrays import BandWriter, write_array
 from nlights_core.development import Band, Darkroom, Rows
-from nlights_core.export import BandTiff
 from nlights_core.fields import LightField
 from nlights_core.frames import Array
-from nlights_core.kernels import Images, available
+from nlights_core.kernel_switch import available
+from nlights_core.kernels import Images
 from nlights_core.plates import Plate
-from nlights_core.store import Progress
+from nlights_core.progress import Progress
+from nlights_core.tiffs import BandTiff
 
 SHADOW = 0.02
 """A light that shows less than this share of what the brightest one shows is counted as shadow."""

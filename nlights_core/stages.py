@@ -40,8 +40,9 @@ from nlights_core.overview import Enlarged, block_edge, reduced_room
 from nlights_core.overview import overview as find_overview
 from nlights_core.plates import block_size, continued, read_plate, vignetting, write_plate
 from nlights_core.product_stages import maps, mesh, report
-from nlights_core.refinement import refined
-from nlights_core.store import ArtefactRef, Progress, Store, Work, describe
+from nlights_core.progress import Progress
+from nlights_core.store import ArtefactRef, Store, Work, describe
+from nlights_core.strengths import refined
 from nlights_core.surveys import grid_of, survey
 
 __all__ = [

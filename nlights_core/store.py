@@ -26,6 +26,7 @@ from typing import Any
 from nlights_core.algorithms import Algorithm
 from nlights_core.digests import by_reading
 from nlights_core.errors import CaptureError, TileError
+from nlights_core.progress import Progress
 from nlights_core.registry import code_digest, core_digest, installed
 
 RECORD = "artefact.json"
@@ -58,10 +59,6 @@ class ArtefactRef:
     def folder(self) -> str:
         """Path of the folder, relative to the store."""
         return f"{self.artwork}/{self.tile}/{self.stage}-{self.key[:12]}"
-
-
-Progress = Callable[[float], None]
-"""Called with the share done, from 0 to 1."""
 
 
 @dataclass(frozen=True)

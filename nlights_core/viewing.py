@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 
 from nlights_core.band_threads import in_order
-from nlights_core.export import Compression, bands, write_bands
 from nlights_core.frames import Array, PixelGrid
+from nlights_core.reduction import bands
+from nlights_core.tiffs import Compression, write_bands
 
 UNKNOWN_NORMAL = (0, 0, 0)
 """Colour of an unknown normal in the 8-bit view: no unit vector encodes to it."""
@@ -51,18 +52,18 @@ def srgb_codes(linear: Array, dtype: Any) -> Array:
     -------
     array of ``dtype`` and the same shape
     """
-    from nlights_core import compiled_maps
+    from nlights_core import compiled_viewing
 
     out = np.empty(linear.shape, dtype)
     values = np.ascontiguousarray(linear, np.float32).reshape(-1)
     largest = np.float32(np.iinfo(dtype).max)
-    compiled_maps.encoded(values, values.view(np.int32), *_srgb_table(), largest, out.reshape(-1))
+    compiled_viewing.encoded(values, values.view(np.int32), *_srgb_table(), largest, out.reshape(-1))
     return out
 
 
 @cache
 def _srgb_table() -> tuple[Array, np.float32, int, int]:
-    """The curve at 512 values from each power of two to the next, 2^-9 to 1, for `compiled_maps.encoded`."""
+    """The curve at 512 values from each power of two to the next, 2^-9 to 1, for `compiled_viewing.encoded`."""
     lowest, shift = np.float32(2**-9), 14
     first, last = (int(value.view(np.int32)) for value in (lowest, np.float32(1)))
     light = np.arange(first, last + 1, 1 << shift, dtype=np.int32).view(np.float32).astype(np.float64)
@@ -116,13 +117,13 @@ class NormalsView:
     @staticmethod
     def part(normals: Array) -> tuple[Array, bytes]:
         """A band's bytes (n, 1 + 3 W) uint8 before and after compression, for `write`."""
-        from nlights_core import compiled_maps
+        from nlights_core import compiled_viewing
 
         colours = np.empty(normals.shape, np.uint8)
-        compiled_maps.normal_colours(normals, colours)
+        compiled_viewing.normal_colours(normals, colours)
         lines = colours.reshape(len(normals), -1)
         plain = np.empty((len(lines), 1 + lines.shape[1]), np.uint8)
-        compiled_maps.differences(lines, plain)
+        compiled_viewing.differences(lines, plain)
         packer = zlib.compressobj(1, zlib.DEFLATED, -zlib.MAX_WBITS, 9, zlib.Z_HUFFMAN_ONLY)
         return plain, packer.compress(plain.data) + packer.flush(zlib.Z_FULL_FLUSH)
 

@@ -20,9 +20,9 @@ from nlights_core.band_threads import in_order
 from nlights_core.frames import Array, PixelGrid
 from nlights_core.integration import Stencil, bands, certain_steps
 from nlights_core.memory import require
+from nlights_core.multigrid import MULTIGRID, solve_weighted
 from nlights_core.normal_integration import HALO, SAMPLE, sample_rows, sampled_tilt
 from nlights_core.sight_lines import facing_rays, ray_slopes, seen_gradient, seen_surface
-from nlights_core.weighted_poisson import MULTIGRID, solve_weighted
 
 LINES = 32
 """Rows that are turned into steps at once."""

@@ -13,10 +13,10 @@ import numpy as np
 
 from nlights_core.agreement import read_agreement
 from nlights_core.arrays import read_array
-from nlights_core.export import read_tiff
 from nlights_core.frames import Array, PixelGrid
 from nlights_core.map_statistics import misclosure
 from nlights_core.testing.evaluation import angles_between
+from nlights_core.tiffs import read_tiff
 
 BLOCKS = 8
 """Blocks of pixels along each side of a tile."""

@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from nlights_core import pictures
-from nlights_core.export import block_means, read_tiff
 from nlights_core.frames import Array, PixelGrid
 from nlights_core.pictures import ColourBar, Tick
+from nlights_core.reduction import block_means
 from nlights_core.testing.evaluation import angles_between
+from nlights_core.tiffs import read_tiff
 
 LONGEST = 900
 """Longest side of a picture, px: there are many on a page."""

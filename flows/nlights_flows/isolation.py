@@ -17,8 +17,9 @@ from nlights_core import stages
 from nlights_core.algorithms import KINDS, Algorithm
 from nlights_core.capture import Tile
 from nlights_core.errors import TileError
+from nlights_core.progress import Progress
 from nlights_core.registry import installed
-from nlights_core.store import ArtefactRef, Progress, Store, Work, sweep
+from nlights_core.store import ArtefactRef, Store, Work, sweep
 from nlights_flows import children
 from nlights_flows.explaining import explained
 

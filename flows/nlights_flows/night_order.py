@@ -8,9 +8,9 @@ from pathlib import Path
 
 from nlights_core.capture import Tile
 from nlights_core.errors import CaptureError
-from nlights_core.export import Compression
 from nlights_core.recipe import Recipe, load_recipe
 from nlights_core.store import Store
+from nlights_core.tiffs import Compression
 from nlights_flows import dask_runner
 from nlights_flows.night_estimates import Deadline
 from nlights_flows.night_limits import Limits, load_limits

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nlights_core.export import read_tiff
+from nlights_core.tiffs import read_tiff
 from nlights_flows.night_inbox import NIGHTS
 
 LONGEST = 240

@@ -15,11 +15,11 @@ from prefect.states import Completed, Failed
 
 from nlights_core.capture import Tile
 from nlights_core.errors import CaptureError
-from nlights_core.export import read_tiff
 from nlights_core.frames import Array
 from nlights_core.images import Photograph, grey, reduced
 from nlights_core.manifest import load_capture
 from nlights_core.store import write_whole
+from nlights_core.tiffs import read_tiff
 from nlights_flows.digitise import digitise
 
 SAMPLES = 1000

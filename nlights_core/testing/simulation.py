@@ -18,12 +18,12 @@ from numpy.random import Generator, default_rng
 
 from nlights_core.configurations import shipped_names
 from nlights_core.errors import CaptureError
-from nlights_core.export import BandTiff
 from nlights_core.frames import Array, PixelGrid
 from nlights_core.stands import Stand
 from nlights_core.testing.illumination import Horizon, LampGroup, horizon, lamp_groups, shine
 from nlights_core.testing.scenes import SCENES, Scene
 from nlights_core.testing.surfaces import plane, seen_points
+from nlights_core.tiffs import BandTiff
 
 PLATE_ALBEDO = 0.9
 EXPOSURE = 0.8

@@ -5,6 +5,7 @@ from typing import ClassVar
 from nlights_core import kernels, least_squares
 from nlights_core.algorithms import Solution
 from nlights_core.frames import Array
+from nlights_core.kernel_switch import available
 from nlights_core.least_squares import UsableLights
 from nlights_core.rules import Kernel, rule
 
@@ -20,7 +21,7 @@ class LeastSquares(UsableLights):
     kernel: ClassVar[Kernel] = "least-squares"
 
     def solve(self, images: Array, lights: Array, weights: Array) -> Solution:
-        if kernels.available():
+        if available():
             return kernels.solve(rule(self.kernel, **self.model_dump()), images, lights, weights, self.shadow)
         usable = least_squares.lit(images, weights, self.shadow)
         found = least_squares.fit(images, lights, usable, self.condition)

@@ -8,6 +8,7 @@ from pydantic import Field
 from nlights_core import kernels, least_squares, robust_fitting
 from nlights_core.algorithms import Solution
 from nlights_core.frames import Array
+from nlights_core.kernel_switch import available
 from nlights_core.least_squares import UsableLights
 from nlights_core.rules import Kernel, rule
 
@@ -32,7 +33,7 @@ class MedianOfTriplets(UsableLights):
     )
 
     def solve(self, images: Array, lights: Array, weights: Array) -> Solution:
-        if kernels.available():
+        if available():
             chosen = rule(self.kernel, **self.model_dump())
             return kernels.solve(chosen, images, lights, weights, self.shadow)
         return robust_fitting.in_blocks(self._solved, images, lights, weights)

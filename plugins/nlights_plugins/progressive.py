@@ -8,6 +8,7 @@ from pydantic import Field
 from nlights_core import kernels, least_squares
 from nlights_core.algorithms import Solution
 from nlights_core.frames import Array
+from nlights_core.kernel_switch import available
 from nlights_core.least_squares import UsableLights
 from nlights_core.rules import Kernel, rule
 
@@ -27,7 +28,7 @@ class Progressive(UsableLights):
     keep: int = Field(default=5, ge=3, description="how many lights are left in the end")
 
     def solve(self, images: Array, lights: Array, weights: Array) -> Solution:
-        if kernels.available():
+        if available():
             return kernels.solve(rule(self.kernel, **self.model_dump()), images, lights, weights, self.shadow)
         usable = least_squares.lit(images, weights, self.shadow)
         found = least_squares.fit(images, lights, usable, self.condition)

@@ -7,6 +7,7 @@ from pydantic import Field
 from nlights_core import kernels, least_squares, robust_fitting
 from nlights_core.algorithms import Solution
 from nlights_core.frames import Array
+from nlights_core.kernel_switch import available
 from nlights_core.least_squares import UsableLights
 from nlights_core.rules import Kernel, rule
 
@@ -33,7 +34,7 @@ class RankTrim(UsableLights):
     )
 
     def solve(self, images: Array, lights: Array, weights: Array) -> Solution:
-        if kernels.available():
+        if available():
             return kernels.solve(rule(self.kernel, **self.model_dump()), images, lights, weights, self.shadow)
         return robust_fitting.in_blocks(self._solved, images, lights, weights)
 

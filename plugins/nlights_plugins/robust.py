@@ -4,8 +4,8 @@ from typing import ClassVar
 
 from nlights_core.algorithms import Solution
 from nlights_core.frames import Array
+from nlights_core.kernels import robust_solution
 from nlights_core.least_squares import UsableLights
-from nlights_core.robust_solving import robust_solution
 from nlights_core.rules import Kernel
 
 

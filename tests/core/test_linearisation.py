@@ -6,7 +6,7 @@ import pytest
 from nlights_core.configurations import load_stand
 from nlights_core.development import darkroom
 from nlights_core.fields import LightField
-from nlights_core.kernels import SWITCH, available
+from nlights_core.kernel_switch import SWITCH, available
 from nlights_core.levelling import level
 from nlights_core.linearisation import Strip, linearised
 from nlights_core.manifest import load_capture

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from nlights_core import compiled_meshes, export, meshes
+from nlights_core import compiled_meshes, meshes, reduction
 from nlights_core.frames import PixelGrid
 from nlights_core.meshes import refined, write_glb
 from nlights_core.pixel_meshes import write_ply
@@ -69,7 +69,7 @@ def test_the_ply_is_the_same_however_the_bands_fall(tmp_path, monkeypatch):
     height[10:13, 20:50] = np.nan
     albedo = np.random.default_rng(0).random((40, 60, 3), dtype=np.float32)
     write_ply(tmp_path / "a.ply", height, albedo, GRID)
-    monkeypatch.setattr(export, "BAND_BYTES", 1)
+    monkeypatch.setattr(reduction, "BAND_BYTES", 1)
     write_ply(tmp_path / "b.ply", height, albedo, GRID)
     assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
 
@@ -105,7 +105,7 @@ def test_nothing_known_gives_an_empty_ply_and_no_glb(tmp_path):
 
 
 def test_the_memory_of_the_ply_follows_the_band(tmp_path, monkeypatch):
-    monkeypatch.setattr(export, "BAND_BYTES", 1 << 20)
+    monkeypatch.setattr(reduction, "BAND_BYTES", 1 << 20)
     grid = PixelGrid(1500, 1000, 0.1)
     height = np.memmap(tmp_path / "z", np.float32, "w+", shape=grid.shape)
     albedo = np.memmap(tmp_path / "a", np.float32, "w+", shape=(*grid.shape, 3))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from nlights_core import band_threads, export
+from nlights_core import band_threads, reduction, tiffs
 from nlights_core.errors import TileError
 from nlights_core.frames import PixelGrid
 from nlights_core.integrability import integrable_normals, integrable_uncertainty
@@ -38,7 +38,7 @@ def written(folder, maps, **options):
     coloured = folder.parent / f"{folder.name}-coloured"
     coloured.mkdir()
     for name in ("albedo", "reflection"):
-        export.write_tiff(coloured / f"{name}.tif", maps[name], GRID, description=name)
+        tiffs.write_tiff(coloured / f"{name}.tif", maps[name], GRID, description=name)
     options = {
         "coloured": coloured,
         "absolute": True,
@@ -72,7 +72,7 @@ def test_without_an_integrated_height_the_normals_are_as_measured(tmp_path, maps
 
 
 def test_any_number_of_threads_writes_the_same_bytes(tmp_path, maps, monkeypatch):
-    monkeypatch.setattr(export, "BAND_BYTES", 7000)
+    monkeypatch.setattr(reduction, "BAND_BYTES", 7000)
     found = []
     for count in (1, 2, 5):
         monkeypatch.setattr(band_threads, "cores", lambda count=count: count)

@@ -5,7 +5,7 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from nlights_core import export, map_statistics
+from nlights_core import map_statistics, reduction
 from nlights_core.figures import Number, figure_of
 from nlights_core.frames import PixelGrid
 from nlights_core.levelling import Level
@@ -211,14 +211,14 @@ def test_numbers_do_not_depend_on_how_the_bands_fall(monkeypatch):
     normals = normals_of(rng.normal(0, 0.1, GRID.shape), rng.normal(0, 0.1, GRID.shape))
     maps = {"height": height, "normals": normals, "used": np.full(GRID.shape, 4, np.uint8)}
     whole = [n.value for n in measure(maps, GRID)]
-    monkeypatch.setattr(export, "BAND_BYTES", 1)
+    monkeypatch.setattr(reduction, "BAND_BYTES", 1)
     by_rows = [n.value for n in measure(maps, GRID)]
     for one, other in zip(whole, by_rows, strict=True):
         assert other == (None if one is None else pytest.approx(one, rel=1e-6))
 
 
 def test_memory_follows_the_band_not_the_image(tmp_path, monkeypatch):
-    monkeypatch.setattr(export, "BAND_BYTES", 1 << 20)
+    monkeypatch.setattr(reduction, "BAND_BYTES", 1 << 20)
     monkeypatch.setattr(map_statistics, "SAMPLE", 100_000)
     grid = PixelGrid(2000, 1500, 0.1)
     normals = np.memmap(tmp_path / "n", np.float32, "w+", shape=(*grid.shape, 3))  # 36 MB

@@ -9,9 +9,10 @@ import pytest
 import tifffile
 from PIL import Image, ImageCms
 
-from nlights_core import export
-from nlights_core.export import block_means, read_tiff, write_tiff
+from nlights_core import reduction, tiffs
 from nlights_core.frames import PixelGrid
+from nlights_core.reduction import block_means
+from nlights_core.tiffs import read_tiff, write_tiff
 from nlights_core.viewing import (
     UNKNOWN_NORMAL,
     srgb,
@@ -78,7 +79,7 @@ def test_more_than_four_gigabytes_become_bigtiff(tmp_path):
     # Only the header is written: the rows would follow it.
     shape, path = (21_000, 18_000, 3), tmp_path / "a.tif"
     grid = PixelGrid(*shape[:2], 0.1)
-    export.BandTiff(path, shape, np.float32, grid=grid, description="normals").__exit__(None, None, None)
+    tiffs.BandTiff(path, shape, np.float32, grid=grid, description="normals").__exit__(None, None, None)
     with tifffile.TiffFile(path) as file:
         assert file.is_bigtiff
         assert file.pages[0].shape == shape
@@ -105,8 +106,8 @@ def test_a_float64_array_and_a_foreign_shape_are_refused(tmp_path):
 @pytest.mark.parametrize("dtype", [np.float32, np.uint16, np.uint8])
 @pytest.mark.parametrize("depth", [(), (3,)])
 def test_a_compressed_tiff_loses_nothing(tmp_path, rng, monkeypatch, dtype, depth):
-    monkeypatch.setitem(export.STRIP_BYTES, "zstd", 1000)
-    monkeypatch.setattr(export, "BAND_BYTES", 1700)
+    monkeypatch.setitem(tiffs.STRIP_BYTES, "zstd", 1000)
+    monkeypatch.setattr(reduction, "BAND_BYTES", 1700)
     array = (rng.random((37, 53, *depth)) * 200).astype(dtype)
     if dtype == np.float32:
         array[3, 4] = np.nan
@@ -166,7 +167,7 @@ def test_the_view_of_normals_is_the_same_however_the_bands_fall(tmp_path, rng, m
     normals = rng.normal(size=(20, 30, 3)).astype(np.float32)
     seen = []
     for size in (1, 2000, 1 << 20):
-        monkeypatch.setattr(export, "BAND_BYTES", size)
+        monkeypatch.setattr(reduction, "BAND_BYTES", size)
         write_normals_view(tmp_path / "n.png", normals)
         with Image.open(tmp_path / "n.png") as image:
             seen.append(np.asarray(image.convert("RGB")))
@@ -235,12 +236,12 @@ def test_block_means_average_what_is_known_and_cut_the_remainder():
 def test_block_means_are_the_same_however_the_bands_fall(rng, monkeypatch):
     array = rng.random((30, 20, 3), dtype=np.float32)
     whole = block_means(array, 4)
-    monkeypatch.setattr(export, "BAND_BYTES", 1)
+    monkeypatch.setattr(reduction, "BAND_BYTES", 1)
     np.testing.assert_array_equal(block_means(array, 4), whole)
 
 
 def test_memory_follows_the_band_not_the_image(tmp_path, monkeypatch):
-    monkeypatch.setattr(export, "BAND_BYTES", 1 << 20)
+    monkeypatch.setattr(reduction, "BAND_BYTES", 1 << 20)
     shape = (2000, 1500, 3)
     array = np.memmap(tmp_path / "array", np.float32, "w+", shape=shape)  # 36 MB
     grid = PixelGrid(*shape[:2], 0.1)

@@ -1,4 +1,4 @@
-"""Maps that leave the system as TIFFs, and their reduction by blocks.
+"""Maps that leave the system as TIFFs.
 
 Everything is written by bands of rows, so that a 100-megapixel map needs no second copy in
 memory, and without dates, so that the same maps give the same bytes.
@@ -7,7 +7,6 @@ memory, and without dates, so that the same maps give the same bytes.
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from types import TracebackType
@@ -18,76 +17,14 @@ import numpy as np
 from nlights_core import __version__
 from nlights_core.band_threads import cores, in_order
 from nlights_core.frames import Array, PixelGrid
+from nlights_core.reduction import bands
 from nlights_core.steady_files import SteadyFile
-
-BAND_BYTES = 16 << 20
-"""About how much of an array is looked at in one go."""
 
 STRIP_BYTES = {"none": 8 << 20, "zstd": 1 << 20}
 """About how large a TIFF's strips are: what is compressed, and must be read, in one go."""
 
 Compression = Literal["none", "zstd"]
 """Of TIFFs; "zstd" comes with the predictor for the type of the pixels, and loses nothing."""
-
-
-def bands(rows: int, row_bytes: int, multiple: int = 1) -> Iterator[slice]:
-    """Cut an image into bands of rows of about `BAND_BYTES` each.
-
-    Parameters
-    ----------
-    rows : int
-        Rows of the image.
-    row_bytes : int
-        Size of one of them.
-    multiple : int
-        Every band but the last has a multiple of so many rows.
-
-    Yields
-    ------
-    slice
-        Rows from the top of the image to its bottom.
-
-    Examples
-    --------
-    >>> list(bands(5, BAND_BYTES // 2))
-    [slice(0, 2, None), slice(2, 4, None), slice(4, 5, None)]
-    """
-    height = max(1, BAND_BYTES // max(1, row_bytes) // multiple) * multiple
-    for start in range(0, rows, height):
-        yield slice(start, min(start + height, rows))
-
-
-def block_means(array: Array, factor: int) -> Array:
-    """A reduced view: means of what is known in blocks of ``factor`` x ``factor`` pixels.
-
-    Parameters
-    ----------
-    array : (H, W) or (H, W, C) array
-        NaN where not known.
-    factor : int
-        Edge of a block, px, at most H and W; a remainder at the right and bottom is cut, as in
-        `PixelGrid.reduced`.
-
-    Returns
-    -------
-    (H // factor, W // factor[, C]) float32 array
-        NaN where less than half of a block is known.
-    """
-    if factor == 1:
-        return np.array(array, np.float32)
-    from nlights_core import compiled_maps
-
-    rows, columns = array.shape[0] // factor, array.shape[1] // factor
-    out = np.empty((rows, columns, *array.shape[2:]), np.float32)
-    planes = out.reshape(rows, columns, -1)
-
-    def reduce(band: slice) -> None:
-        part = np.asarray(array[band], np.float32)
-        part = part.reshape(len(part), part.shape[1], -1)
-        compiled_maps.block_means(part, factor, planes[band.start // factor : band.stop // factor])
-
-    deque(in_order(reduce, bands(rows * factor, array[:1].nbytes, factor)), 0)
-    return out
 
 
 def _layout(
