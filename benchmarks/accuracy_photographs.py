@@ -15,12 +15,12 @@ from tables import Cell, Table, kept
 from nlights_core.algorithms import NormalSolver
 from nlights_core.capture import Encoding
 from nlights_core.frames import Array
-from nlights_core.images import Photograph, grey
 from nlights_core.manifest import load_capture
+from nlights_core.photographs.images import Photograph, grey
 from nlights_core.recipe import load_recipe
+from nlights_core.simulation.evaluation import angles_between
 from nlights_core.store import Store
-from nlights_core.testing.evaluation import angles_between
-from nlights_flows.running import run_directly
+from nlights_flows.tiles.running import run_directly
 
 OBJECTS = ("ball", "bear")
 DEFAULT = "robust"

@@ -14,10 +14,10 @@ from tables import Cell, Table, kept
 from nlights_core.configurations import load_stand
 from nlights_core.manifest import load_capture
 from nlights_core.recipe import Recipe, load_recipe
+from nlights_core.simulation.captures import simulate
+from nlights_core.simulation.evaluation import evaluate
 from nlights_core.store import Store
-from nlights_core.testing.evaluation import evaluate
-from nlights_core.testing.simulation import simulate
-from nlights_flows.running import run_directly
+from nlights_flows.tiles.running import run_directly
 
 
 class Case(NamedTuple):

@@ -16,10 +16,10 @@ from nlights_core.configurations import load_stand
 from nlights_core.frames import Array
 from nlights_core.manifest import load_capture
 from nlights_core.recipe import load_recipe
+from nlights_core.simulation.captures import simulate
+from nlights_core.simulation.evaluation import evaluate
 from nlights_core.store import Store
-from nlights_core.testing.evaluation import evaluate
-from nlights_core.testing.simulation import simulate
-from nlights_flows.running import run_directly
+from nlights_flows.tiles.running import run_directly
 
 PLACE = Path(__file__).parents[1] / "docs" / "comparison"
 RECIPES = ("default", "paper", "psbox")

@@ -9,8 +9,9 @@ import numpy as np
 import yaml
 
 from nlights_core.configurations import load_stand
+from nlights_core.files.tiffs import BandTiff
 from nlights_core.frames import Array
-from nlights_core.testing.simulation import (
+from nlights_core.simulation.captures import (
     BLACK_LEVEL,
     EXPOSURE,
     FULL_WELL,
@@ -19,7 +20,6 @@ from nlights_core.testing.simulation import (
     Studio,
     set_up,
 )
-from nlights_core.tiffs import BandTiff
 
 RENDERED = 1460
 """About how many columns are rendered; neighbouring pixels between them are interpolated."""
@@ -108,7 +108,7 @@ def _enlarged(picture: Array, factor: int) -> Iterator[tuple[int, Array]]:
 
 
 def _exposed(light: Array, gain: float, noise: Array, place: int) -> Array:
-    """What `nlights_core.testing.simulation.expose` does, with noise that is drawn already."""
+    """What `nlights_core.simulation.captures.expose` does, with noise that is drawn already."""
     electrons = light * np.float32(gain)
     deviation = np.sqrt(electrons + np.float32(READ_NOISE**2))
     drawn = np.take(noise, np.arange(place, place + electrons.size) % RANDOM).reshape(electrons.shape)

@@ -31,7 +31,7 @@ from night_database import Database
 from night_processes import Service, free_port
 from tables import Table, write
 
-from nlights_flows import environment
+from nlights_flows.tiles import environment
 
 ROOT = Path(__file__).resolve().parents[1]
 BIN = Path(sys.executable).parent

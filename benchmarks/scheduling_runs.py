@@ -16,10 +16,10 @@ from nlights_core.configurations import load_stand
 from nlights_core.manifest import load_capture
 from nlights_core.recipe import load_recipe
 from nlights_core.registry import core_digest
+from nlights_core.simulation.captures import simulate
 from nlights_core.store import RECORD, Store
-from nlights_core.testing.simulation import simulate
-from nlights_flows.chain import digitise_tile
-from nlights_flows.running import run_directly
+from nlights_flows.tiles.chain import digitise_tile
+from nlights_flows.tiles.running import run_directly
 
 WIDTH = 48
 MANIFEST = (
@@ -102,7 +102,7 @@ def directly(folder: Path) -> dict[str, Any]:
 
 def dask(folder: Path, address: str) -> dict[str, Any]:
     """A Dask task per tile; once before, so that the workers have imported everything."""
-    from nlights_flows.dask_runner import run_everywhere
+    from nlights_flows.tiles.dask_runner import run_everywhere
 
     recipe, store, out = load_recipe("default"), Store(folder / "out" / ".store"), folder / "out"
     tiles = load_capture(folder / "capture")
@@ -118,7 +118,7 @@ def prefect(folder: Path, address: str | None = None) -> dict[str, Any]:
     from prefect import flow
     from prefect.settings import PREFECT_FLOWS_HEARTBEAT_FREQUENCY, temporary_settings
 
-    from nlights_flows.digitise import digitise
+    from nlights_flows.tiles.digitise import digitise
 
     imported = time.monotonic() - started
 
@@ -185,10 +185,10 @@ def inbox(folder: Path) -> dict[str, Any]:
 
 def night(inbox: Path, out: Path, log: Path, claims: str) -> dict[str, Any]:
     """A night that writes down every artefact that it made, with or without claims."""
-    from nlights_flows import claims as marks
-    from nlights_flows.night_order import Order
-    from nlights_flows.night_record import night_exit_code
-    from nlights_flows.night_running import carry_out, run_here
+    from nlights_flows.nights import claims as marks
+    from nlights_flows.nights.order import Order
+    from nlights_flows.nights.record import night_exit_code
+    from nlights_flows.nights.running import carry_out, run_here
 
     ensure = Store.ensure
 

@@ -20,21 +20,21 @@ from pathlib import Path
 import numpy as np
 import scipy.fft
 
-from nlights_core.agreement import AgreementMeter
-from nlights_core.arrays import read_array
-from nlights_core.development import darkroom
 from nlights_core.fields import LightField, NormalField
-from nlights_core.fused_solving import FusedSolver
-from nlights_core.kernels import rule_of
-from nlights_core.levelling import read_level
+from nlights_core.files.arrays import read_array
 from nlights_core.manifest import load_capture
-from nlights_core.noise import read_noise
-from nlights_core.overview import Enlarged, block_edge
-from nlights_core.plates import read_plate
+from nlights_core.near_light.levelling import read_level
+from nlights_core.near_light.overview import Enlarged, block_edge
+from nlights_core.photographs.development import darkroom
+from nlights_core.photographs.headers import grid_of, survey
+from nlights_core.photographs.noise import read_noise
+from nlights_core.photographs.plates import read_plate
 from nlights_core.registry import installed
-from nlights_core.solving import SHADOW, solved
+from nlights_core.solving.agreement import AgreementMeter
+from nlights_core.solving.band_solving import SHADOW, solved
+from nlights_core.solving.fused_solving import FusedSolver
+from nlights_core.solving.kernels import rule_of
 from nlights_core.stages import FLATS
-from nlights_core.surveys import grid_of, survey
 
 SOLVERS = ("least-squares", "robust", "progressive", "rank-trim", "median-of-triplets")
 

@@ -10,7 +10,7 @@ from typing import Any
 import yaml
 
 from nlights_core.configurations import load_stand
-from nlights_core.testing.simulation import simulate
+from nlights_core.simulation.captures import simulate
 
 SCENES = ("painting", "relief", "drawing", "plane")
 FINISHED = "upload-complete"

@@ -27,7 +27,7 @@ from typing import Any
 from night_database import Database
 from night_processes import Service, ServiceError, free_port
 
-from nlights_flows import environment
+from nlights_flows.tiles import environment
 
 ROOT = Path(__file__).resolve().parents[1]
 BIN = Path(sys.executable).parent

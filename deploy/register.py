@@ -13,7 +13,7 @@ from pathlib import Path
 
 import yaml
 
-from nlights_flows import environment
+from nlights_flows.tiles import environment
 
 HERE = Path(__file__).resolve().parent
 POOL = "nlights"

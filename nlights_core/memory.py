@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 import re
 
-from nlights_core.band_threads import cores
 from nlights_core.errors import TileError
+from nlights_core.machine.band_threads import cores
 
 GIB = 1 << 30
 UNITS = {"": 1, "K": 1 << 10, "M": 1 << 20, "G": GIB, "T": 1 << 40}

@@ -177,6 +177,7 @@ def code_digest(cls: type[Algorithm]) -> str:
 def core_digest() -> str:
     """Version of the core and digest of its source: what every cache key starts with."""
     digest = hashlib.sha256()
-    for path in sorted(Path(nlights_core.__file__).parent.glob("*.py")):
-        digest.update(path.name.encode() + b"\0" + path.read_bytes())
+    core = Path(nlights_core.__file__).parent
+    for path in sorted(core.rglob("*.py")):
+        digest.update(path.relative_to(core).as_posix().encode() + b"\0" + path.read_bytes())
     return f"{nlights_core.__version__}-{digest.hexdigest()[:16]}"

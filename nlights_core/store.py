@@ -24,9 +24,9 @@ from pathlib import Path
 from typing import Any
 
 from nlights_core.algorithms import Algorithm
-from nlights_core.digests import by_reading
 from nlights_core.errors import CaptureError, TileError
-from nlights_core.progress import Progress
+from nlights_core.files.digests import by_reading
+from nlights_core.machine.progress import Progress
 from nlights_core.registry import code_digest, core_digest, installed
 
 RECORD = "artefact.json"

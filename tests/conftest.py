@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from nlights_core.configurations import load_stand
-from nlights_core.testing.simulation import simulate
+from nlights_core.simulation.captures import simulate
 
 
 @pytest.fixture(scope="session")

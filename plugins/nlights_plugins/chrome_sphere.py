@@ -12,7 +12,7 @@ from nlights_core.capture import Sphere, Tile
 from nlights_core.errors import TileError
 from nlights_core.fields import LightField
 from nlights_core.frames import Array
-from nlights_core.spheres import (
+from nlights_core.lamps.spheres import (
     circle_of_mask,
     find_circle,
     fit_circle,

@@ -8,10 +8,10 @@ import numpy as np
 from pydantic import Field
 
 from nlights_core.algorithms import HeightDetrend
-from nlights_core.band_threads import in_order
 from nlights_core.fields import HeightMap
 from nlights_core.frames import Array
-from nlights_core.integration import bands
+from nlights_core.integration.poisson import bands
+from nlights_core.machine.band_threads import in_order
 
 BAND = 256
 """Rows that are worked on at once."""

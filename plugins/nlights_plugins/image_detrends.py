@@ -91,7 +91,7 @@ class InverseSquare(ImageDetrend):
 
     For captures without a flat reference.  The emission of the lamps is part of it where the
     light model states it; their power is 1 unless it was calibrated on the artwork (see
-    `nlights_core.emission_on_artwork`).
+    `nlights_core.lamps.emission_on_artwork`).
     """
 
     name: ClassVar[str] = "inverse-square"

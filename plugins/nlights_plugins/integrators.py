@@ -11,10 +11,10 @@ from pydantic import Field
 from nlights_core.algorithms import Integrator
 from nlights_core.fields import HeightMap, NormalField
 from nlights_core.frames import Array, PixelGrid
-from nlights_core.integration import Stencil, frankot_chellappa
-from nlights_core.normal_integration import PLAIN, least_squares_height, sample_rows
-from nlights_core.sight_lines import facing_rays, seen_gradient, seen_surface
-from nlights_core.weighted_integration import (
+from nlights_core.integration.normal_integration import PLAIN, least_squares_height, sample_rows
+from nlights_core.integration.poisson import Stencil, frankot_chellappa
+from nlights_core.integration.sight_lines import facing_rays, seen_gradient, seen_surface
+from nlights_core.integration.weighted_integration import (
     evenly_certain,
     middle_uncertainty,
     relative_uncertainty,
@@ -56,7 +56,7 @@ class FrankotChellappa(SlopeIntegrator):
     )
 
     def integrate(self, normals: NormalField) -> HeightMap:
-        """Integrate a whole field; see `nlights_core.integration.frankot_chellappa`."""
+        """Integrate a whole field; see `nlights_core.integration.poisson.frankot_chellappa`."""
         grid = _seen(normals.grid, self.perspective)
         facing = facing_rays(normals.normals, grid)
         if not np.isfinite(facing).all():
@@ -84,9 +84,9 @@ class Simchony(SlopeIntegrator):
     )
 
     def integrate(self, normals: NormalField) -> HeightMap:
-        """Integrate a whole field; see `nlights_core.normal_integration.least_squares_height`.
+        """Integrate a whole field; see `nlights_core.integration.normal_integration.least_squares_height`.
 
-        Where the slopes differ in certainty, `nlights_core.weighted_integration.weighted_height`.
+        Where the slopes differ in certainty, `nlights_core.integration.weighted_integration.weighted_height`.
         """
         grid = _seen(normals.grid, self.perspective)
         if not self.weights or _even(normals, grid):

@@ -5,12 +5,12 @@ from typing import ClassVar
 import numpy as np
 from pydantic import Field
 
-from nlights_core import kernels, least_squares
 from nlights_core.algorithms import Solution
 from nlights_core.frames import Array
-from nlights_core.kernel_switch import available
-from nlights_core.least_squares import UsableLights
-from nlights_core.rules import Kernel, rule
+from nlights_core.machine.kernel_switch import available
+from nlights_core.solving import kernels, least_squares
+from nlights_core.solving.least_squares import UsableLights
+from nlights_core.solving.rules import Kernel, rule
 
 
 class Progressive(UsableLights):

@@ -4,9 +4,9 @@ from typing import ClassVar
 
 from nlights_core.algorithms import Solution
 from nlights_core.frames import Array
-from nlights_core.kernels import robust_solution
-from nlights_core.least_squares import UsableLights
-from nlights_core.rules import Kernel
+from nlights_core.solving.kernels import robust_solution
+from nlights_core.solving.least_squares import UsableLights
+from nlights_core.solving.rules import Kernel
 
 
 class Robust(UsableLights):

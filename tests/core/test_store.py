@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from xxhash import xxh3_128
 
-from nlights_core.arrays import BandWriter, read_array
 from nlights_core.errors import CaptureError, TileError
+from nlights_core.files.arrays import BandWriter, read_array
 from nlights_core.store import Store, Work, describe, promised
 from nlights_plugins.integrators import Simchony
 
@@ -119,7 +119,7 @@ def test_a_digest_that_many_ask_for_at_once_is_found_once(tmp_path, monkeypatch)
         begun.append(path)
         return xxh3_128()
 
-    monkeypatch.setattr("nlights_core.digests.xxh3_128", counted)
+    monkeypatch.setattr("nlights_core.files.digests.xxh3_128", counted)
     with ThreadPoolExecutor(8) as pool:
         # Each with a store of its own, as tasks have.
         digests = list(pool.map(lambda _: Store(store.root).digest(path), range(8)))

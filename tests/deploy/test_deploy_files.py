@@ -13,7 +13,7 @@ import pytest
 import yaml
 from night_services import PATIENT
 
-from nlights_flows import deployment
+from nlights_flows.nights import deployment
 
 ROOT = Path(__file__).parents[2]
 DEPLOY = ROOT / "deploy"

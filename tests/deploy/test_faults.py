@@ -34,7 +34,7 @@ def test_a_night_survives_its_own_death_its_server_and_its_worker(services):
 TALKER = """
 import sys
 from rich.console import Console
-from nlights_flows.environment import outlive_reader
+from nlights_flows.tiles.environment import outlive_reader
 if sys.argv[1] == "outlives":
     outlive_reader()
 sys.stdin.read()  # until the reader is gone

@@ -10,7 +10,7 @@ import yaml
 from night_services import Services
 
 from nlights_core.configurations import load_stand
-from nlights_core.testing.simulation import simulate
+from nlights_core.simulation.captures import simulate
 
 ENDED = {"COMPLETED", "FAILED", "CRASHED", "CANCELLED"}
 NAMES = [night_captures.whole_name(number) for number in (1, 2)]

@@ -1,6 +1,6 @@
 from nlights_cosine import CosineBasis
 
-from nlights_core.testing.contracts import IntegratorContract
+from nlights_core.testing import IntegratorContract
 
 
 class TestCosineBasis(IntegratorContract):

@@ -9,7 +9,7 @@ from PIL import Image
 
 from nlights_core.capture import Sphere, Tile
 from nlights_core.errors import TileError
-from nlights_core.spheres import circle_of_mask, fit_circle
+from nlights_core.lamps.spheres import circle_of_mask, fit_circle
 from nlights_plugins.chrome_sphere import ChromeSphere
 
 DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data"

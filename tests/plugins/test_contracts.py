@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from nlights_core import testing as contracts
 from nlights_core.capture import GivenLights
 from nlights_core.registry import installed
-from nlights_core.testing import contracts
 from nlights_plugins.chrome_sphere import ChromeSphere
 from nlights_plugins.given_directions import GivenDirections
 from nlights_plugins.height_detrends import ParabolicFit

@@ -9,9 +9,9 @@ import pytest
 from nlights_core.errors import TileError
 from nlights_core.fields import NormalField
 from nlights_core.frames import PixelGrid
+from nlights_core.integration.multigrid import MULTIGRID
+from nlights_core.integration.normal_integration import MASKED
 from nlights_core.memory import VARIABLE
-from nlights_core.multigrid import MULTIGRID
-from nlights_core.normal_integration import MASKED
 from nlights_plugins.integrators import FrankotChellappa, Simchony
 
 INTEGRATION = Path(__file__).parents[2].parent / "shared" / "data" / "integration"

@@ -7,9 +7,9 @@ import pytest
 
 from nlights_core.capture import Encoding
 from nlights_core.fields import LightField
-from nlights_core.images import Photograph, grey
-from nlights_core.testing.evaluation import angles_between
-from nlights_core.testing.scenes import synthetic_stand
+from nlights_core.photographs.images import Photograph, grey
+from nlights_core.simulation.evaluation import angles_between
+from nlights_core.simulation.scenes import synthetic_stand
 from nlights_plugins.least_squares import LeastSquares
 from nlights_plugins.median_of_triplets import MedianOfTriplets
 from nlights_plugins.rank_trim import RankTrim

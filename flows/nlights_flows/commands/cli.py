@@ -1,0 +1,339 @@
+"""The command line: `nlights`."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from nlights_core import __version__
+from nlights_core.errors import NlightsError
+from nlights_flows.commands import compare as compare_command
+from nlights_flows.commands import nightly as nightly_command
+from nlights_flows.commands import plugins as plugin_commands
+from nlights_flows.commands import tolerance as tolerance_command
+from nlights_flows.commands.options import (
+    Address,
+    Artwork,
+    Compression,
+    CompressionOption,
+    Memory,
+    Out,
+    Prefect,
+    RecipeOption,
+    Root,
+    Runner,
+    StandOption,
+    StoreOption,
+    Tiles,
+    Timeout,
+)
+
+if TYPE_CHECKING:
+    from nlights_flows.tiles.running import Outcome
+
+INTERRUPTED = 130
+UNREAD = 141
+"""What a shell calls a command whose reader went away (128 + SIGPIPE)."""
+
+
+app = typer.Typer(
+    name="nlights",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode="markdown",
+    pretty_exceptions_enable=False,
+    help="""Measure paintings and drawings by photometric stereo.
+
+Photographs of an artwork under 8 lamps at measured positions become albedo, normals, height,
+reflection map and a mesh, tile by tile.
+
+A first look, without a camera:
+
+`nlights simulate capture --stand horizontal --scene painting --width 1000`
+
+`nlights digitise capture/artwork.yaml --out products`
+
+Then open `products/.../report.html`.  Exit codes: 0 all done; 1 some tiles failed, the others are
+done; 2 nothing was produced.
+""",
+)
+
+
+def version(show: bool) -> None:
+    """Print the version."""
+    if show:
+        print(f"nlights {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _main(
+    show: Annotated[
+        bool, typer.Option("--version", callback=version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    pass
+
+
+@app.command()
+def simulate(
+    folder: Annotated[
+        Path, typer.Argument(metavar="DIR", help="Where the capture goes: a new or empty folder.")
+    ],
+    stand: Annotated[
+        str, typer.Option(metavar="NAME_OR_FILE", help="The stand that takes the photographs.")
+    ] = "horizontal",
+    scene: Annotated[
+        str, typer.Option(metavar="SCENE", help="plane, drawing, painting or relief.")
+    ] = "painting",
+    width: Annotated[
+        int, typer.Option(metavar="N", min=32, max=20000, help="Width of the photographs, px.")
+    ] = 1000,
+    varnish: Annotated[
+        bool, typer.Option("--varnish", help="Varnish the painting: it gets highlights.")
+    ] = False,
+    seed: Annotated[int, typer.Option(metavar="N", min=0, help="Another seed, other lamps and noise.")] = 0,
+) -> None:
+    """Write a simulated capture, and its truth, to try things on.
+
+    Writes `artwork.yaml`, one photograph per lamp, flats, a dark frame, and `truth/` with the
+    exact normals.tif, height.tif and albedo.tif.
+    """
+    from nlights_core.configurations import load_stand
+    from nlights_core.simulation.captures import simulate as run
+    from nlights_core.simulation.scenes import SCENES
+    from nlights_flows.tiles import console
+
+    if scene not in SCENES:
+        raise NlightsError(f"--scene: there is no scene '{scene}'; choose one of {', '.join(SCENES)}")
+    with console.progress_bar(f"simulating {scene}") as progress:
+        run(
+            folder,
+            load_stand(stand),
+            scene=scene,
+            width=width,
+            varnish=varnish,
+            seed=seed,
+            progress=lambda done, total: progress(done / total),
+        )
+    print(f"{folder / 'artwork.yaml'}: {scene}, {width} px wide; the truth is in {folder / 'truth'}")
+
+
+@app.command()
+def check(
+    artwork: Artwork,
+    recipe: RecipeOption = "default",
+    stand: StandOption = None,
+    root: Root = None,
+) -> None:
+    """Look at a capture before it is digitised: manifest, recipe, every photograph.
+
+    Reads every pixel once: sizes, depths, black and saturated frames.  Writes nothing.
+    """
+    from nlights_core.manifest import load_capture
+    from nlights_core.recipe import load_recipe
+    from nlights_flows.tiles import checking, console
+
+    chosen = load_recipe(recipe)
+    tiles = load_capture(artwork, stand=stand, root=root)
+    with console.progress_bar("reading photographs") as progress:
+        findings = checking.check(tiles, chosen, progress)
+    console.show_findings(findings)
+    bad = sum(bool(finding.problems) for finding in findings)
+    raise typer.Exit(0 if not bad else 2 if bad == len(findings) else 1)
+
+
+@app.command()
+def plan(
+    artwork: Artwork,
+    recipe: RecipeOption = "default",
+    out: Out = Path("products"),
+    store: StoreOption = None,
+    stand: StandOption = None,
+    root: Root = None,
+    tile: Tiles = None,
+) -> None:
+    """Say what `digitise` would do: which stages exist, which would be made, and why.
+
+    Runs nothing.  A stage is made anew when its algorithm, an option, its code or anything
+    before it differs.
+    """
+    from nlights_flows.tiles import console, planning, preparing
+
+    chosen, tiles, kept = preparing.prepared(artwork, recipe, out, store, stand, root, tile)
+    failed = 0
+    for one in tiles:
+        try:
+            console.show_plan(one, planning.plan(one, chosen, kept))
+        except NlightsError as fault:
+            failed += 1
+            console.complain(f"{one.name}: {fault}")
+    raise typer.Exit(0 if not failed else 2 if failed == len(tiles) else 1)
+
+
+@app.command()
+def digitise(
+    artwork: Artwork,
+    recipe: RecipeOption = "default",
+    out: Out = Path("products"),
+    store: StoreOption = None,
+    stand: StandOption = None,
+    root: Root = None,
+    tile: Tiles = None,
+    prefect: Prefect = False,
+    compression: CompressionOption = Compression.NONE,
+    memory: Memory = None,
+    timeout: Timeout = None,
+    runner: Runner = "here",
+    address: Address = None,
+) -> None:
+    """Turn the photographs of an artwork into measured surfaces.
+
+    Writes `OUT/<artwork>/<tile>/`: normals.tif, albedo.tif, reflection.tif, height.tif,
+    confidence.tif, mesh.ply, mesh.glb, report.html and more.  What was finished before is not
+    done again; a fault of one tile costs that tile only.
+    """
+    from nlights_core.store import make_writable
+    from nlights_flows.tiles import console, dask_runner, environment, preparing
+    from nlights_flows.tiles.running import exit_code, run_directly
+
+    dask_runner.checked(runner, address)
+    preparing.allow_memory(memory)
+    chosen, tiles, kept = preparing.prepared(artwork, recipe, out, store, stand, root, tile)
+    make_writable(out, "--out")
+    kept.prepare()
+    if prefect or environment.api_configured():
+        outcomes = _run_flow(
+            artwork=str(artwork),
+            recipe=recipe,
+            out=str(out),
+            store=str(kept.root),
+            stand=stand,
+            root=str(root) if root else None,
+            tiles=tile,
+            compression=compression.value,
+            timeout=timeout,
+            runner=runner,
+            address=address,
+        )
+    elif runner != "here":
+        outcomes = dask_runner.run_everywhere(tiles, chosen, kept, out, address, compression.value, timeout)
+    else:
+        outcomes = []
+        with console.TileProgress(chosen, tiles) as watch:
+            for one in tiles:
+                outcomes.append(run_directly(one, chosen, kept, out, watch, compression.value, timeout))
+                watch.tile_done(outcomes[-1])
+    console.show_outcomes(outcomes)
+    raise typer.Exit(exit_code(outcomes))
+
+
+def _run_flow(**parameters: Any) -> list[Outcome]:
+    """Digitise as a Prefect flow."""
+    from nlights_flows.tiles import environment
+
+    environment.prepare()
+    from nlights_flows.tiles.digitise import digitise as flow
+
+    state: Any = flow(**parameters, return_state=True)
+    outcomes = state.data if isinstance(state.data, list) else state.result(raise_on_failure=False)
+    if isinstance(outcomes, BaseException):
+        raise outcomes
+    return outcomes
+
+
+@app.command()
+def report(
+    folders: Annotated[
+        list[Path],
+        typer.Argument(metavar="DIR...", help="Product folders of tiles, or folders that hold some."),
+    ],
+) -> None:
+    """Print the quality numbers of tiles side by side, with their units."""
+    from nlights_flows.tiles import console
+
+    console.show_numbers(folders)
+
+
+@app.command()
+def evaluate(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="The product folder of a tile.")],
+    truth: Annotated[
+        Path, typer.Option("--truth", metavar="DIR", help="A folder with normals.tif and height.tif.")
+    ],
+) -> None:
+    """Compare a tile's products with the truth, where it is known.
+
+    Prints, and writes as `evaluation.json` into DIR: the angles between the normals in degrees,
+    the difference of the heights in mm (a free constant removed), and the share that is known.
+    """
+    import json
+
+    from nlights_core.simulation.evaluation import evaluate as compare
+    from nlights_core.store import write_whole
+    from nlights_flows.tiles import console
+
+    result = compare(folder, truth)
+    console.show_evaluation(result)
+    write_whole(folder / "evaluation.json", json.dumps(result, indent=1) + "\n")
+
+
+compare_command.register(app)
+nightly_command.register(app)
+plugin_commands.register(app)
+tolerance_command.register(app)
+
+
+def main() -> None:
+    """Run the command line; a reader who goes away ends it without a word."""
+    try:
+        code = _run()
+        sys.stdout.flush()
+    except BrokenPipeError:
+        code = _unread()
+    except SystemExit as fault:
+        # Typer and rich end the process themselves where a pipe is broken, with a 1 that means something else.
+        if not isinstance(fault.__context__, BrokenPipeError):
+            raise
+        code = _unread()
+    sys.exit(code)
+
+
+def _run() -> int:
+    """Run the command line; explain what is the user's to mend, without a traceback."""
+    try:
+        code: int = app(standalone_mode=False)
+        return _stopped() if code == INTERRUPTED else code  # Typer has swallowed the interrupt
+    except (typer.Abort, KeyboardInterrupt):
+        return _stopped()
+    except NlightsError as fault:
+        print(fault, file=sys.stderr)
+        return 2
+    except BrokenPipeError:
+        raise
+    except OSError as fault:
+        print(f"{fault.filename or 'system'}: {fault.strerror or fault}", file=sys.stderr)
+        return 2
+    except Exception as fault:
+        # Typer carries its own copy of click, so its faults are known by what they can do.
+        if not hasattr(fault, "show"):
+            raise
+        fault.show()
+        return getattr(fault, "exit_code", 2)
+
+
+def _stopped() -> int:
+    print("stopped; what is finished is kept: the same command goes on from there", file=sys.stderr)
+    return INTERRUPTED
+
+
+def _unread() -> int:
+    """Whoever read the output has seen enough; Python must not complain while it ends."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    for stream in (1, 2):
+        os.dup2(nowhere, stream)
+    return UNREAD

@@ -1,0 +1,1 @@
+"""Comparison: variants of recipes on the same captures, side by side."""

@@ -1,0 +1,190 @@
+"""The page of a night, ``night.html``: one self-contained file, read at eight in the morning."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+from nlights_core import __version__
+from nlights_core.report.figures import figure_of
+from nlights_core.store import write_whole
+from nlights_flows.nights.charts import HEIGHT, WIDTH, chart, newly_outside
+from nlights_flows.nights.estimates import said
+from nlights_flows.nights.limits import VERDICTS
+from nlights_flows.nights.pictures import thumbnail
+from nlights_flows.nights.record import PAGE, NightRecord, verdict
+from nlights_flows.tiles.pages import template
+
+PICTURES = 300
+"""Tiles that have a picture; with more the page grows too large for a browser."""
+
+WORDS = {
+    "ok": "within its limits",
+    "warn": "to be watched",
+    "fail": "beyond its limit",
+    None: "not measured",
+}
+"""What colours say, in words."""
+
+
+def write_pages(record: NightRecord, folder: Path, out: Path) -> None:
+    """Write the page into the night's folder and, as the newest, into OUT; each appears whole.
+
+    Raises
+    ------
+    OSError
+        When one cannot be written.
+    """
+    page = template(Path(__file__).with_name("night.html.j2"))
+    shown = _shown(record, out)
+    for place, up in ((folder, "../../"), (out, "")):
+        write_whole(place / PAGE, page.render(up=up, **shown))
+
+
+def _shown(record: NightRecord, out: Path) -> dict[str, Any]:
+    data = record.as_json()
+    drawn = 0
+    for artwork in data["artworks"]:
+        for tile in artwork["tiles"]:
+            tile["link"] = quote(tile["products"]) + "/report.html" if tile["products"] else ""
+            tile["picture"] = ""
+            if tile["products"] and drawn < PICTURES:
+                drawn += 1
+                tile["picture"] = thumbnail(out / tile["products"], out, draw=tile["state"] == "done")
+            tile["numbers"] = number_rows(tile["numbers"])
+    artworks = data["artworks"]
+    return {
+        "record": data,
+        "version": __version__,
+        "sentence": verdict(record),
+        "mood": mood(data),
+        "failures": [a for a in artworks if a["state"] == "failed"],
+        "beyond": beyond(artworks),
+        "moved": moved(data),
+        "left": [
+            (a, [t for t in a["tiles"] if t["state"] in ("left", "claimed elsewhere")])
+            for a in artworks
+            if any(t["state"] in ("left", "claimed elsewhere") for t in a["tiles"])
+        ],
+        "waiting": [a for a in artworks if a["state"] == "waiting"],
+        "tonight": [a for a in artworks if a["tiles"] and a["state"] != "unchanged"],
+        "before": [a for a in artworks if a["state"] == "unchanged"],
+        "stands": [
+            {**stand, "charts": [chart(trend) for trend in stand["charts"]]} for stand in data["trends"]
+        ],
+        "disks": [
+            (name, data[name], said(disk["free"]), f"{100 * disk['free'] / max(disk['total'], 1):.0f}")
+            for name, disk in data["disk"].items()
+        ],
+        "facts": _facts(data),
+        "duration": duration,
+        "figure_of": figure_of,
+        "words": WORDS,
+        "chart_size": (WIDTH, HEIGHT),
+    }
+
+
+def number_rows(numbers: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """The numbers of a tile to be shown: of those per lamp the worst only, with the limit in words."""
+    worst: dict[str, Mapping[str, Any]] = {}
+    for row in numbers:
+        known = worst.get(row["limit"])
+        if known is None or _badness(row) > _badness(known):
+            worst[row["limit"]] = row
+    return [
+        {
+            **row,
+            "shown": figure_of(row["value"], row["unit"]),
+            "word": WORDS[row["verdict"]],
+            "allowed": _allowed(row),
+        }
+        for row in worst.values()
+    ]
+
+
+def _badness(row: Mapping[str, Any]) -> tuple[int, float]:
+    if row["verdict"] is None:
+        return -1, 0.0
+    return VERDICTS.index(row["verdict"]), -row["value"] if row["smallest"] else row["value"]
+
+
+def _allowed(row: Mapping[str, Any]) -> str:
+    word = "at least" if row["smallest"] else "at most"
+    limits = f"warns at {row['warn']:g}"
+    return f"{word} {row['fail']:g}, {limits}" if row["fail"] is not None else f"{word} {row['warn']:g}"
+
+
+def beyond(artworks: Sequence[Mapping[str, Any]]) -> list[tuple[str, str, str, dict[str, Any]]]:
+    """Numbers that are not within their limits: artwork, tile, link, number; the worst first."""
+    found = [
+        (artwork["artwork"], tile["tile"], tile["link"], row)
+        for artwork in artworks
+        for tile in artwork["tiles"]
+        if tile["state"] == "done"
+        for row in tile["numbers"]
+        if row["verdict"] in ("warn", "fail")
+    ]
+    return sorted(found, key=lambda one: -VERDICTS.index(one[3]["verdict"]))
+
+
+def mood(data: Mapping[str, Any]) -> str:
+    """How the night went, as the colour of its heading: "bad", "open" or "good"."""
+    states = {artwork["state"] for artwork in data["artworks"]}
+    verdicts = {tile["verdict"] for artwork in data["artworks"] for tile in artwork["tiles"]}
+    if "failed" in states or "fail" in verdicts:
+        return "bad"
+    unfinished = states & {"left", "waiting", "claimed elsewhere"}
+    return "open" if unfinished or "warn" in verdicts or moved(data) else "good"
+
+
+def moved(data: Mapping[str, Any]) -> list[tuple[str, dict[str, Any]]]:
+    """Charts that this night has left their limits: stand, chart."""
+    return [
+        (stand["stand"], chart(trend))
+        for stand in data["trends"]
+        for trend in stand["charts"]
+        if newly_outside(trend, data["name"])
+    ]
+
+
+def duration(seconds: float) -> str:
+    """Seconds as a person says them.
+
+    Examples
+    --------
+    >>> duration(7.4), duration(130), duration(7500)
+    ('7 s', '2 min 10 s', '2 h 5 min')
+    """
+    whole = round(seconds)
+    if whole < 60:
+        return f"{whole} s"
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60} s"
+    return f"{whole // 3600} h {whole % 3600 // 60} min"
+
+
+def _facts(data: Mapping[str, Any]) -> list[tuple[str, str]]:
+    clock = "%H:%M"
+    started = datetime.fromisoformat(data["started"])
+    ran = f"began {started:{clock}}"
+    if data["ended"]:
+        ran += f", ended {datetime.fromisoformat(data['ended']):{clock}}, took {duration(data['seconds'])}"
+    until = f"{datetime.fromisoformat(data['until']):{clock}}" if data["until"] else "no limit"
+    estimate = data["estimate"]
+    per = (
+        f"{estimate['constant']:.1f} s and {estimate['slope']:.2f} s per megapixel"
+        if estimate
+        else "not known"
+    )
+    return [
+        ("Night", data["name"]),
+        ("Ran", ran),
+        ("Until", until),
+        ("Inbox", data["inbox"]),
+        ("Products", data["out"]),
+        ("Recipe", data["recipe"]),
+        ("A tile takes", per),
+    ]

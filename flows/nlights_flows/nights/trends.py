@@ -1,0 +1,148 @@
+"""Trends of a stand from capture to capture, as control charts: each lamp's flat, the plate, the noise."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nlights_core.report.flat_quality import LEVEL, NOISE
+
+CAPTURES = 30
+"""Of a stand, so many of the newest captures are shown."""
+
+RESIDUAL = "Flats against computed lamps, rms"
+FOLLOWED = (LEVEL, RESIDUAL, NOISE)
+"""Numbers that are followed; those per lamp without the lamp."""
+
+ENOUGH = 6
+"""Flat sets from which limits are drawn; fewer say nothing about scatter."""
+
+SIGMAS = 3.0
+NARROWEST = 0.002
+"""No limit is nearer to the centre than this share of it: a photograph is not repeated better."""
+
+
+def measured(products: Path) -> dict[str, Any] | None:
+    """What the trends follow of a tile: its stand, its flat set and its numbers.
+
+    Returns
+    -------
+    dict or None
+        "stand", "flats" (digest), "numbers" (value and unit by name).  None where there is no stand or no
+        photographed flat.
+    """
+    try:
+        provenance = json.loads((products / "provenance.json").read_text(encoding="utf-8"))
+        rows = json.loads((products / "quality.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    stand = (provenance.get("stand") or {}).get("name")
+    flats = next(
+        (stage["facts"].get("flats") for stage in provenance["stages"] if stage["stage"] == "plate"), None
+    )
+    if not stand or not flats:
+        return None
+    digest = hashlib.sha256(json.dumps(flats, sort_keys=True).encode()).hexdigest()[:12]
+    numbers = {
+        row["name"]: {"value": row["value"], "unit": row["unit"]}
+        for row in rows
+        if row["value"] is not None and _followed(row["name"])
+    }
+    return {"stand": stand, "flats": digest, "numbers": numbers}
+
+
+def _followed(name: str) -> bool:
+    return name in FOLLOWED or name.startswith(f"{LEVEL}, ")
+
+
+def trends(nights: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Control charts of every stand.
+
+    Parameters
+    ----------
+    nights : sequence of mapping
+        Records of nights, newest first.
+
+    Returns
+    -------
+    list of dict
+        "stand", "captures" and "charts"; a chart has "name", "unit", "points" (oldest first; "value", "night",
+        "artwork", "new_flats", "outside"), "centre", and "low" and "high" (None where there are too few flats).
+    """
+    stands: dict[str, list[dict[str, Any]]] = {}
+    for capture in _captures(nights):
+        known = stands.setdefault(capture["stand"], [])
+        if len(known) < CAPTURES:
+            known.append(capture)
+    return [_charts(stand, list(reversed(found))) for stand, found in sorted(stands.items())]
+
+
+def _captures(nights: Iterable[Mapping[str, Any]]) -> Iterator[dict[str, Any]]:
+    """Captures, newest first: what was made in a night of an artwork with one flat set."""
+    for night in nights:
+        for artwork in reversed(night["artworks"]):
+            seen = set()
+            for tile in artwork["tiles"]:
+                found = tile["measured"]
+                if tile["state"] != "done" or not found or found["flats"] in seen:
+                    continue
+                seen.add(found["flats"])
+                yield {**found, "night": night["name"], "artwork": artwork["artwork"]}
+
+
+def _charts(stand: str, captures: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    names = dict.fromkeys(name for capture in captures for name in capture["numbers"])
+    charts = []
+    for name in names:
+        flats: set[str] = set()
+        points = []
+        for capture in captures:
+            if name not in capture["numbers"]:
+                continue
+            points.append(
+                {
+                    "night": capture["night"],
+                    "artwork": capture["artwork"],
+                    "value": capture["numbers"][name]["value"],
+                    # The same flats tell nothing new, whatever was photographed with them.
+                    "new_flats": capture["flats"] not in flats,
+                }
+            )
+            flats.add(capture["flats"])
+        unit = next(c["numbers"][name]["unit"] for c in captures if name in c["numbers"])
+        centre, low, high = control_limits([p["value"] for p in points if p["new_flats"]])
+        for point in points:
+            point["outside"] = low is not None and high is not None and not low <= point["value"] <= high
+        charts.append(
+            {"name": name, "unit": unit, "centre": centre, "low": low, "high": high, "points": points}
+        )
+    return {"stand": stand, "captures": len(captures), "charts": charts}
+
+
+def control_limits(values: Sequence[float]) -> tuple[float, float | None, float | None]:
+    """Median, and three robust standard deviations below and above it.
+
+    The deviation is the median distance from the median, scaled to that of a normal
+    distribution, and corrected for few values by n / (n - 0.8).
+
+    Returns
+    -------
+    centre, low, high : float
+        Without limits (None) where there are fewer than `ENOUGH` values.
+
+    Examples
+    --------
+    >>> control_limits([10, 11, 12, 10, 11, 12, 11, 50])[0]
+    11.0
+    """
+    centre = float(np.median(values))
+    if len(values) < ENOUGH:
+        return centre, None, None
+    scatter = 1.4826 * float(np.median(np.abs(np.asarray(values) - centre)))
+    reach = max(SIGMAS * scatter * len(values) / (len(values) - 0.8), NARROWEST * abs(centre))
+    return centre, centre - reach, centre + reach

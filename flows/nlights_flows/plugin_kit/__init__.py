@@ -1,0 +1,1 @@
+"""The kit for plugin authors: a template, and the contracts held to what is installed."""

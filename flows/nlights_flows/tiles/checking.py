@@ -1,0 +1,106 @@
+"""Checking a tile before it is digitised: every photograph read once, nothing written."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from nlights_core.capture import Tile
+from nlights_core.errors import NlightsError
+from nlights_core.fields import LightField
+from nlights_core.photographs.development import Exposure, bands, darkroom
+from nlights_core.recipe import Recipe
+from nlights_flows.tiles.running import require_memory
+
+
+@dataclass
+class Finding:
+    """What a check found out about a tile.
+
+    Attributes
+    ----------
+    tile : str
+    size : str
+        Size and depth of the photographs.
+    exposures : dict
+        By lamp, for the frames.
+    notes : list of str
+        Sentences about what is allowed but seldom meant.
+    problems : list of str
+        Sentences; empty when the tile can be digitised.
+    """
+
+    tile: str
+    size: str = ""
+    exposures: dict[str, Exposure] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+    problems: list[str] = field(default_factory=list)
+
+
+def check(tiles: Sequence[Tile], recipe: Recipe, progress: Callable[[float], None]) -> list[Finding]:
+    """Check tile after tile; see `check_tile`."""
+    findings = []
+    for i, tile in enumerate(tiles):
+
+        def share(part: float, i: int = i) -> None:
+            progress((i + part) / len(tiles))
+
+        findings.append(check_tile(tile, recipe, share))
+    return findings
+
+
+def check_tile(tile: Tile, recipe: Recipe, progress: Callable[[float], None]) -> Finding:
+    """Read every photograph of a tile and see whether a recipe can use it.
+
+    Parameters
+    ----------
+    tile, recipe : Tile, Recipe
+        What would be digitised, and how.
+    progress : callable
+        Told the share done.
+
+    Returns
+    -------
+    Finding
+    """
+    finding = Finding(tile.name)
+    finding.problems += recipe.lacking(tile)
+    jpeg = [path.name for path in tile.frames.values() if path.suffix.lower() in (".jpg", ".jpeg")]
+    if jpeg and "transfer" not in tile.encoding.model_fields_set:
+        finding.notes.append(
+            f"{jpeg[0]}: a JPEG is taken as linear light, which few are; state encoding: {{transfer: srgb}} (or "
+            "linear) in the manifest"
+        )
+    sets = [False, True] if tile.flats else [False]
+    for i, flats in enumerate(sets):
+
+        def share(part: float, i: int = i) -> None:
+            progress((i + part) / len(sets))
+
+        try:
+            _read(tile, recipe, flats, finding, share)
+        except (NlightsError, OSError) as fault:
+            if str(fault) not in finding.problems:
+                finding.problems.append(str(fault))
+    return finding
+
+
+def _read(
+    tile: Tile, recipe: Recipe, flats: bool, finding: Finding, progress: Callable[[float], None]
+) -> None:
+    lamps = tile.lamps
+    neutral = LightField(lamps, directions=np.tile([0.0, 0.0, 1.0], (len(lamps), 1)))
+    with tempfile.TemporaryDirectory() as scratch, darkroom(tile, Path(scratch), flats=flats) as room:
+        info, grid = room.info, room.grid
+        finding.size = f"{info.columns} x {info.rows} px, {info.channels} x {info.dtype}"
+        for start, stop in bands(grid, len(lamps) * info.channels * 8):
+            room.raw(start, stop, neutral)
+            progress(stop / grid.rows)
+        if not flats:
+            finding.exposures = room.exposures
+            require_memory(tile, recipe)
+        room.check()

@@ -1,0 +1,206 @@
+"""What the command line shows: progress bars and tables."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from nlights_core.capture import Tile
+from nlights_core.errors import CaptureError
+from nlights_core.recipe import Recipe
+from nlights_core.registry import Registry
+from nlights_flows.tiles.chain import steps
+from nlights_flows.tiles.checking import Finding
+from nlights_flows.tiles.planning import Step
+from nlights_flows.tiles.running import Outcome
+
+console = Console(highlight=False, soft_wrap=False)
+
+
+def complain(sentence: str) -> None:
+    """Print a fault to the standard error."""
+    print(sentence, file=sys.stderr)
+
+
+def _columns() -> tuple[Any, ...]:
+    return TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn()
+
+
+@contextmanager
+def progress_bar(what: str) -> Iterator[Callable[[float], None]]:
+    """Show one long step; yields a function to tell the share done."""
+    with Progress(*_columns(), console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task(what, total=1.0)
+        yield lambda share: progress.update(task, completed=share)
+
+
+class TileProgress:
+    """Progress over tiles and their stages: bars on a terminal, one line per stage elsewhere."""
+
+    def __init__(self, recipe: Recipe, tiles: Sequence[Tile]) -> None:
+        self._steps, self._tiles = steps(recipe), len(tiles)
+        self._progress = Progress(*_columns(), console=Console(stderr=True), transient=True)
+        self._live = sys.stderr.isatty()
+        self._all = self._progress.add_task(f"tile 1 of {self._tiles}", total=self._steps * self._tiles)
+        self._stage = self._progress.add_task("", total=1.0)
+        self._done, self._started, self._ended = 0.0, 0.0, 0
+
+    def __enter__(self) -> TileProgress:
+        if self._live:
+            self._progress.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._live:
+            self._progress.stop()
+
+    def __call__(self, tile: str, stage: str, share: float) -> None:
+        """Take in how far a stage of a tile is."""
+        if share == 0.0:
+            self._started = time.monotonic()
+        if share == 1.0:
+            self._done += 1
+            if not self._live:
+                print(
+                    f"{tile}: {stage}: {time.monotonic() - self._started:.1f} s", file=sys.stderr, flush=True
+                )
+        self._progress.update(self._stage, description=f"{tile}: {stage}", completed=share)
+        self._progress.update(self._all, completed=self._done + (share if share < 1 else 0))
+
+    def tile_done(self, outcome: Outcome) -> None:
+        """Go on to the next tile."""
+        self._ended += 1
+        self._done = float(self._steps * self._ended)
+        number = min(self._ended + 1, self._tiles)
+        self._progress.update(self._all, description=f"tile {number} of {self._tiles}", completed=self._done)
+
+
+def show_outcomes(outcomes: Sequence[Outcome]) -> None:
+    """Print where the products are, and every failure with its remedy."""
+    for outcome in outcomes:
+        name = f"{outcome.artwork}/{outcome.tile}"
+        if outcome.state == "failed":
+            complain(f"{name}: failed: {outcome.message}")
+        else:
+            said = "unchanged" if outcome.state == "unchanged" else f"done in {outcome.seconds:.1f} s"
+            print(f"{name}: {said}: {outcome.folder}/report.html")
+            for warning in warnings_of(outcome):
+                complain(f"{name}: warning: {warning}")
+    failed = sum(outcome.state == "failed" for outcome in outcomes)
+    if failed:
+        complain(f"{len(outcomes) - failed} of {len(outcomes)} tiles done, {failed} failed")
+
+
+def warnings_of(outcome: Outcome) -> list[str]:
+    """What the quality numbers of a tile warn of, as sentences."""
+    path = outcome.folder / "quality.json" if outcome.folder else None
+    if path is None or not path.is_file():
+        return []
+    return [row["warning"] for row in json.loads(path.read_text(encoding="utf-8")) if row.get("warning")]
+
+
+def show_plan(tile: Tile, plan: Sequence[Step]) -> None:
+    """Print the stages of a tile."""
+    table = Table(title=f"{tile.artwork}/{tile.name}", title_justify="left", box=None, pad_edge=False)
+    for heading in ("stage", "artefact", "", "why"):
+        table.add_column(heading, no_wrap=heading != "why")
+    for step in plan:
+        table.add_row(step.ref.stage, step.ref.key[:12], "exists" if step.exists else "to be made", step.why)
+    missing = sum(not step.exists for step in plan)
+    _wide().print(table)
+    print(f"{missing} of {len(plan)} stages to be made")
+
+
+def show_findings(findings: Sequence[Finding]) -> None:
+    """Print what a check found."""
+    for finding in findings:
+        table = Table(title=f"{finding.tile}: {finding.size}", title_justify="left", box=None, pad_edge=False)
+        for heading in ("lamp", "mean, % of saturation", "saturated pixels, %"):
+            table.add_column(heading, justify="left" if heading == "lamp" else "right")
+        for lamp, exposure in finding.exposures.items():
+            count = max(exposure.pixels, 1)
+            table.add_row(
+                lamp, f"{100 * exposure.total / count:.2f}", f"{100 * exposure.saturated / count:.3f}"
+            )
+        _wide().print(table)
+        for note in finding.notes:
+            complain(f"{finding.tile}: note: {note}")
+        for problem in finding.problems:
+            complain(f"{finding.tile}: {problem}")
+        print(f"{finding.tile}: {'cannot be digitised' if finding.problems else 'can be digitised'}")
+
+
+def show_plugins(registry: Registry) -> None:
+    """Print every algorithm with its slot, origin and first sentence."""
+    table = Table(box=None, pad_edge=False)
+    for heading in ("slot", "use", "from", "what it does"):
+        table.add_column(heading, no_wrap=heading != "what it does")
+    for offer in registry.offers():
+        sentence = (offer.algorithm.__doc__ or "").strip().split("\n")[0]
+        table.add_row(offer.algorithm.slot, offer.algorithm.name, offer.origin, sentence)
+    _wide().print(table)
+
+
+def show_evaluation(result: dict[str, Any]) -> None:
+    """Print an evaluation, a number a line."""
+    for name, value in result.items():
+        print(f"{name}: {value:.6g}" if isinstance(value, float) else f"{name}: {value}")
+
+
+def show_numbers(folders: Sequence[Path]) -> None:
+    """Print the quality numbers of tiles side by side.
+
+    Raises
+    ------
+    CaptureError
+        When a folder holds no products.
+    """
+    tiles: list[Path] = []
+    for folder in folders:
+        found = sorted(path.parent for path in folder.glob("**/quality.json") if ".store" not in path.parts)
+        if not found:
+            raise CaptureError(
+                f"{folder}: holds no products (no quality.json); give an output folder of digitise"
+            )
+        tiles += found
+    numbers = [json.loads((tile / "quality.json").read_text(encoding="utf-8")) for tile in tiles]
+    table = Table(box=None, pad_edge=False)
+    for heading in ("group", "number", "unit"):
+        table.add_column(heading)
+    for tile in tiles:
+        table.add_column(f"{tile.parent.name}/{tile.name}", justify="right")
+    names = dict.fromkeys((row["group"], row["name"], row["unit"]) for rows in numbers for row in rows)
+    by_name = [{(row["group"], row["name"], row["unit"]): row for row in rows} for rows in numbers]
+    for name in names:
+        table.add_row(*name, *(_value(rows.get(name)) for rows in by_name))
+    _wide().print(table)
+    for tile in tiles:
+        print(tile / "report.html")
+
+
+def _value(row: dict[str, Any] | None) -> str:
+    if row is None:
+        return "not in this recipe"
+    return row.get("missing", "not measured") if row["value"] is None else f"{row['value']:.4g}"
+
+
+def show_table(table: Table) -> None:
+    """Print a table."""
+    _wide().print(table)
+
+
+def _wide() -> Console:
+    """A console that does not cut tables when its output goes to a file."""
+    return console if console.is_terminal else Console(highlight=False, width=160)

@@ -1,0 +1,24 @@
+"""Pages: how the templates of the flows' HTML pages are filled in."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    import jinja2
+
+
+def template(path: Path) -> jinja2.Template:
+    """Open a page's template, a file beside its module: what is put in is escaped, and what it lacks is a fault."""
+    import jinja2
+
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(path.parent),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return environment.get_template(path.name)

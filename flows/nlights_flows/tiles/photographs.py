@@ -1,0 +1,152 @@
+"""Whether a tile's photographs stayed the same while it ran: an upload may replace one at any time."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from nlights_core.capture import Tile
+from nlights_core.errors import TileError
+from nlights_core.machine.band_threads import cores
+from nlights_core.recipe import Recipe
+from nlights_core.stages import FLATS
+from nlights_core.store import Store, promised
+from nlights_flows.tiles.mappers import Mapper
+
+Stamp = tuple[int, int, int]
+"""Size, time of change in ns, inode."""
+
+THREADS = 4
+"""That find digests, at most: they soon take all that the memory gives."""
+
+
+@dataclass(frozen=True)
+class Photographs:
+    """What a tile's photographs were when it was begun.
+
+    A stage names its work by the digests of the photographs and reads them afterwards; what is
+    replaced in between would lie in the store under another photograph's name.
+
+    Attributes
+    ----------
+    store, tile : Store, Tile
+        Whose.
+    stamps : dict
+        By file, its stamp and the digest of that content, which may still be under way; None where it could
+        not be found, because the file cannot be read or became another.
+    artefacts : frozenset of Path
+        What the store had of this tile and of its flats.
+    """
+
+    store: Store
+    tile: Tile
+    stamps: dict[Path, tuple[Stamp, Future[str | None]]]
+    artefacts: frozenset[Path]
+
+    @classmethod
+    @contextmanager
+    def watched(cls, tile: Tile, recipe: Recipe, store: Store) -> Iterator[Photographs]:
+        """Look at the photographs that a recipe reads, for as long as it runs.
+
+        A tile of which a photograph is not what it was has failed, whatever else became of it: what seems
+        damaged may only be half-way here.
+
+        The digests are those that the stages ask for anyway, so a file is read once.  They are found
+        beside the stages, in the order in which they are asked for: a plate needs those of the flats.
+
+        Raises
+        ------
+        TileError
+            Naming the photographs that changed; the artefacts that were made meanwhile are gone from the store.
+        """
+        flats = any("flats" in algorithm.needs for algorithm in recipe.algorithms())
+        paths = [
+            *((tile.flats or {}).values() if flats else ()),
+            *(path for path in (tile.dark, tile.mask) if path),
+        ]
+        paths += tile.frames.values()
+
+        with _stamped(paths, store) as stamps:
+            seen = cls(store, tile, stamps, frozenset(_artefacts(store, tile)))
+            try:
+                yield seen
+            except BaseException as fault:
+                changed = seen._changed()
+                if changed and isinstance(fault, Exception):  # who stops a run is told nothing else
+                    raise changed from fault
+                raise
+            if changed := seen._changed():
+                raise changed
+
+    def _changed(self) -> TileError | None:
+        """What to say of photographs that are not what they were; what was made meanwhile is gone then."""
+        changed = [path for path, seen in self.stamps.items() if not self._same(path, *seen)]
+        if not changed:
+            return None
+        # Nobody can tell what they were made of; deleting artefacts is always safe.
+        for folder in _artefacts(self.store, self.tile) - self.artefacts:
+            shutil.rmtree(folder, ignore_errors=True)
+        names = ", ".join(path.name for path in changed[:3])
+        more = f" and {len(changed) - 3} more" if len(changed) > 3 else ""
+        return TileError(
+            f"{changed[0].parent}: its photographs were changed while it ran ({names}{more}); nothing was made of "
+            "them; run again when the upload is complete"
+        )
+
+    def _same(self, path: Path, stamp: Stamp, digest: Future[str | None]) -> bool:
+        try:
+            return _stamp(path) == stamp or self.store.digest(path) == digest.result()
+        except (OSError, TileError):
+            return False
+
+
+@contextmanager
+def _stamped(paths: list[Path], store: Store) -> Iterator[dict[Path, tuple[Stamp, Future[str | None]]]]:
+    """Stamps of files, and their digests, which are being found until the block ends."""
+    threads = min(cores(), THREADS)
+    idle = [Mapper() for _ in range(threads)]
+    mappers = tuple(idle)
+
+    def digest(path: Path, stamp: Stamp) -> str | None:
+        mapper = idle.pop()  # there is one for each thread
+        try:
+            found = store.digest(path, mapper.digest)
+            return found if _stamp(path) == stamp else None
+        except (OSError, TileError):  # the stage that reads it will say what is wrong
+            return None
+        finally:
+            idle.append(mapper)
+
+    pool = ThreadPoolExecutor(threads, thread_name_prefix="digests")
+    stamps = {}
+    try:
+        for path in paths:
+            with suppress(OSError):
+                stamps[path] = (stamp := _stamp(path)), pool.submit(digest, path, stamp)
+        with promised({path: found for path, (_, found) in stamps.items()}):
+            yield stamps
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)
+        for mapper in mappers:
+            mapper.stop()
+        pool.shutdown()
+
+
+def _stamp(path: Path) -> Stamp:
+    status = path.stat()
+    return status.st_size, status.st_mtime_ns, status.st_ino
+
+
+def _artefacts(store: Store, tile: Tile) -> set[Path]:
+    """Folders of artefacts, not drafts, of a tile and of the flats of its artwork."""
+    return {
+        folder
+        for name in (tile.name, FLATS)
+        if (place := store.root / tile.artwork / name).is_dir()
+        for folder in place.iterdir()
+        if not folder.name.startswith(".")
+    }

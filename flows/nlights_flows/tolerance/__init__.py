@@ -1,0 +1,1 @@
+"""Tolerance: how wrong the measurement of a stand may be."""

@@ -1,0 +1,1 @@
+"""Files: maps on the disk, written and read by bands of rows."""

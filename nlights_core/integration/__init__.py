@@ -1,0 +1,1 @@
+"""Integration: normals become height."""

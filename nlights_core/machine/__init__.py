@@ -1,0 +1,1 @@
+"""Machine: cores, compiled loops, and how work tells how far it is."""

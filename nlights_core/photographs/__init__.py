@@ -1,0 +1,1 @@
+"""Photographs: files become linear, dark-free images, divided by what a flat reads."""

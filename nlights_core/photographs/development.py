@@ -1,0 +1,429 @@
+"""Development: photographs of a tile become bands of linear, dark-free, plate-relative images."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import NamedTuple, Protocol, TypeVar
+
+import numpy as np
+
+from nlights_core.algorithms import PHOTONS
+from nlights_core.capture import Encoding, Sensor, Tile
+from nlights_core.errors import TileError
+from nlights_core.fields import LightField
+from nlights_core.frames import Array, PixelGrid
+from nlights_core.machine.band_threads import in_order
+from nlights_core.machine.kernel_switch import available
+from nlights_core.memory import band_memory
+from nlights_core.photographs.headers import grid_of, survey
+from nlights_core.photographs.images import EYE, ImageInfo, Photograph, grey, is_saturated
+from nlights_core.photographs.noise import Noise, measure_noise
+from nlights_core.photographs.plates import Plate
+
+BAND_BYTES = 64 << 20
+"""About what the images and lights of one band may take, where there is memory for it."""
+
+SOLVING = 4
+"""As many times as that a solver is expected to take."""
+
+BLACK = 5e-4
+"""A frame whose mean is below this share of saturation shows that its lamp did not fire."""
+
+BURNT = 0.99
+"""A frame with more than this share of saturated pixels says nothing."""
+
+VIEW_COLUMNS = 300
+"""About how wide the small views of the photographs are, px."""
+
+
+Result = TypeVar("Result")
+
+
+@dataclass
+class Exposure:
+    """What was seen of one photograph while it was read.
+
+    Attributes
+    ----------
+    pixels, saturated : int
+        Counts inside the mask.
+    total : float
+        Sum of the grey values, dark subtracted, as fractions of saturation.
+    """
+
+    pixels: int = 0
+    saturated: int = 0
+    total: float = 0.0
+
+    def add(self, values: Array, saturated: Array) -> None:
+        """Take in a band: values (n,) and flags (n,)."""
+        self.pixels += values.size
+        self.saturated += int(np.count_nonzero(saturated))
+        self.total += float(values.sum(dtype=np.float64))
+
+    def check(self, name: str, path: Path) -> None:
+        """Refuse a photograph that says nothing.
+
+        Raises
+        ------
+        TileError
+            When it is black, or saturated nearly everywhere.
+        """
+        if not self.pixels:
+            return
+        if self.saturated > BURNT * self.pixels:
+            raise TileError(
+                f"{path}: {name}: {self.saturated / self.pixels:.1%} of its pixels are saturated; photograph "
+                "again with a shorter exposure, or state the level in encoding.saturation"
+            )
+        if self.total < BLACK * self.pixels:
+            raise TileError(
+                f"{path}: {name}: all black (mean {self.total / self.pixels:.5f} of saturation after the "
+                f"dark frame, at least {BLACK} is needed); see whether the lamp lit, and photograph again"
+            )
+
+
+class Rows(Protocol):
+    """What gives rows of a map when asked for a slice, as an array does."""
+
+    def __getitem__(self, rows: slice, /) -> Array:
+        """Some rows."""
+
+
+class Raw(NamedTuple):
+    """A band of rows as it was read.
+
+    Attributes
+    ----------
+    start, stop : int
+        The rows.
+    images : (L, h, w, C) float32
+        Linear, dark subtracted, divided by the lamps' power.
+    saturated : (L, h, w) bool
+        Where any channel is at the saturation level.
+    inside : (h, w) bool
+        The mask.
+    """
+
+    start: int
+    stop: int
+    images: Array
+    saturated: Array
+    inside: Array
+
+
+@dataclass
+class Band:
+    """A band of rows, ready for a normal solver.
+
+    Attributes
+    ----------
+    start, stop : int
+        The rows.
+    images : (L, h, w, C) float32
+        Linear, dark subtracted, divided by power and plate.
+    weights : (L, h, w) float32
+        As `nlights_core.algorithms.NormalSolver.solve` wants them; 0 where saturated or outside the
+        mask.
+    saturated : (L, h, w) bool
+        Where any channel is at the saturation level.
+    lights : (L, h, w, 3) or (L, 1, 1, 3) float32
+        Such that ``grey images = albedo * (lights . normal + ambient)``.
+    ambient : (L, h, w) float32 or None
+        Ambient light in the same units.
+    grey : (L, h, w) float32
+        The images without colour: mixed by the plate's shares where there is a plate, which is
+        where noise is least, otherwise as the eye does.
+    """
+
+    start: int
+    stop: int
+    images: Array
+    weights: Array
+    saturated: Array
+    lights: Array
+    ambient: Array | None
+    grey: Array
+
+
+@dataclass
+class Darkroom:
+    """The open photographs of a tile: frames or flats, the dark frame and the mask.
+
+    Use `darkroom` to open one.
+    """
+
+    grid: PixelGrid
+    info: ImageInfo
+    photographs: Mapping[str, Photograph]
+    paths: Mapping[str, Path]
+    dark: Photograph | None
+    mask: Photograph | None
+    subject: str
+    sensor: Sensor | None
+    exposures: dict[str, Exposure] = field(default_factory=dict)
+    _views: list[Array] = field(default_factory=list)
+
+    @cached_property
+    def noise(self) -> Noise:
+        """The camera's noise: as the capture states it, or measured in these photographs.
+
+        Set it to what the flat reference's photographs said where there are any: they show
+        noise without texture.
+        """
+        channels = self.info.channels
+        if self.sensor is not None:
+            return Noise.of_sensor(self.sensor, channels, self.dark is not None)
+        smooth = self.subject == "flats"
+        found = measure_noise(self.photographs.values(), self.dark, smooth=smooth)
+        return found or Noise(np.ones(channels), np.zeros(channels))
+
+    def raw(self, start: int, stop: int, lights: LightField) -> Raw:
+        """Read a band of every photograph."""
+        shape = (stop - start, self.grid.columns)
+        inside = np.ones(shape, bool)
+        if self.mask is not None:
+            inside = self.mask.band(start, stop).max(axis=-1) > 0
+        dark = self.dark.band(start, stop) if self.dark is not None else None
+        if dark is not None:
+            self.exposures.setdefault("dark", Exposure()).add(grey(dark).ravel(), is_saturated(dark).ravel())
+        count = len(self.photographs)
+        images = np.empty((count, *shape, self.info.channels), np.float32)
+        saturated = np.empty((count, *shape), bool)
+        limited = bool(np.isfinite(self.info.saturation))
+        for i, (lamp, photograph) in enumerate(self.photographs.items()):
+            images[i] = photograph.band(start, stop)
+            saturated[i] = limited & is_saturated(images[i])
+            if dark is not None:
+                images[i] -= dark
+            exposure = self.exposures.setdefault(lamp, Exposure())
+            exposure.add(grey(images[i])[inside], saturated[i][inside])
+        step = self.view_step
+        self.add_view(images[:, -start % step :: step, ::step].copy())
+        images /= lights.power.astype(np.float32)[:, None, None, :]
+        return Raw(start, stop, images, saturated, inside)
+
+    @property
+    def view_step(self) -> int:
+        """Of the photographs every so many rows and columns are in the views."""
+        return max(1, self.grid.columns // VIEW_COLUMNS)
+
+    def add_view(self, images: Array) -> None:
+        """Take in what the views show of a band, (L, h, w, C) float32: linear, dark subtracted."""
+        self._views.append(images)
+
+    def views(self) -> Array:
+        """Small views of the photographs read so far, (L, h, w, C) float32: for people to look at."""
+        return np.concatenate(self._views, axis=1)
+
+    def bands(
+        self,
+        work: Callable[[Band], Result],
+        lights: LightField,
+        plate: Plate | None,
+        height: Rows | None = None,
+    ) -> Iterator[tuple[Band, Result]]:
+        """Develop all bands and work on them, on all cores; then check the exposures.
+
+        Parameters
+        ----------
+        work : callable
+            What is done with a band, in any thread.
+        lights : LightField
+            The lamps.
+        plate : Plate, optional
+            What a flat plate reads; the images are divided by it along each lamp's ray.
+        height : (H, W) array, optional
+            Height of the pass before, mm; None: the plane.
+
+        Yields
+        ------
+        Band, object
+            From top to bottom, and what ``work`` returned.
+
+        Raises
+        ------
+        TileError
+            When a photograph is black or saturated throughout, or cannot be read.
+        """
+
+        def worked(raw: Raw) -> tuple[Band, Result]:
+            before = None if height is None else height[raw.start : raw.stop]
+            band = self.develop(raw, lights, plate, before)
+            return band, work(band)
+
+        places = bands(self.grid, len(self.photographs) * (self.info.channels * 4 + 24))
+        # Read one after the other: a photograph serves one thread at a time, and views are kept in order.
+        yield from in_order(worked, (self.raw(*place, lights) for place in places))
+        self.check()
+
+    def develop(self, raw: Raw, lights: LightField, plate: Plate | None, height: Array | None = None) -> Band:
+        """Make a band ready for a solver; ``raw`` may be developed again at another height.
+
+        Parameters
+        ----------
+        raw : Raw
+            What `raw` read.
+        lights, plate : LightField, Plate or None
+            See `bands`.
+        height : (h, w) array, optional
+            Height of these rows, mm.
+        """
+        points = self.grid.points(raw.start, raw.stop, height)
+        weights = np.where(raw.saturated | ~raw.inside, np.float32(0), np.float32(1))
+        images, ambient, shares = raw.images, None, None
+        if lights.ambient.any():
+            ambient = np.broadcast_to(
+                lights.ambient.astype(np.float32)[:, None, None], images.shape[:3]
+            ).copy()
+        if plate is None:
+            vectors = lights.vectors(points)
+            mix = grey_shares(images.shape[-1], None)
+            # Without a plate it is not known where each lamp is bright: all weigh the same.
+            weights /= self.noise.photons(lights.power.astype(np.float32), mix).mean()
+        else:
+            images = images.copy()
+            shares = plate.shares if images.shape[-1] == len(plate.shares) else None
+            mix = grey_shares(images.shape[-1], plate)
+            # The lens dims by the pixel, not by where the lamp's ray meets the plane.
+            pixels = None if height is None else self.grid.points(raw.start, raw.stop)[:2]
+            if lights.near and ambient is None and available():
+                photons = mix**2 * self.noise.gain / lights.power
+                vectors = _related(images, weights, lights, plate, points, pixels, photons)
+            else:
+                vectors, ambient = _relative(
+                    images, weights, ambient, lights, plate, points, pixels, self.noise, mix
+                )
+        mixed = grey(images, shares)
+        self.noise.with_readout(weights, mixed, mix)
+        weights /= np.float32(PHOTONS)
+        saturated = raw.saturated & raw.inside
+        return Band(raw.start, raw.stop, images, weights, saturated, vectors, ambient, mixed)
+
+    def check(self) -> None:
+        """Refuse a photograph that turned out black or saturated throughout, and an empty mask."""
+        dark = self.exposures.pop("dark", None)
+        if dark is not None and self.dark is not None and dark.saturated > 0.5 * dark.pixels:
+            raise TileError(
+                f"{self.dark.path}: dark: {dark.saturated / dark.pixels:.1%} of its pixels are saturated; "
+                "photograph it again with the lens covered"
+            )
+        if self.mask is not None and not any(exposure.pixels for exposure in self.exposures.values()):
+            raise TileError(f"{self.mask.path}: mask: is 0 everywhere; paint the artwork white")
+        for lamp, exposure in self.exposures.items():
+            exposure.check(f"{self.subject}.{lamp}", self.paths[lamp])
+
+
+def grey_shares(channels: int, plate: Plate | None) -> Array:
+    """Share of each channel in the grey that a solver sees, (C,) float32: the plate's, or else the eye's."""
+    if plate is not None and len(plate.shares) == channels:
+        return np.asarray(plate.shares, np.float32)
+    return np.asarray(EYE if channels > 1 else np.ones(1), np.float32)
+
+
+def _relative(
+    images: Array,
+    weights: Array,
+    ambient: Array | None,
+    lights: LightField,
+    plate: Plate,
+    points: Array,
+    pixels: Array | None,
+    noise: Noise,
+    mix: Array,
+) -> tuple[Array, Array | None]:
+    """Divide images by the plate and weigh them, in place; make the lights relative to it.
+
+    The plate is read where each lamp's ray through a point meets the plane (numerics, section
+    1): power, emission and fall-off cancel there, and only geometry is left.
+    """
+    vectors, origins = lights.vectors(points), lights.plane_points(points)
+    relative = np.empty((len(images), *points.shape[1:], 3), np.float32)
+    for i, power in enumerate(lights.power.astype(np.float32)):
+        x, y = origins[i if len(origins) > 1 else 0]
+        reading = plate.at(i, x, y, pixels)
+        # A plate that is not known, or nearly dark, leaves the sample unknown.
+        usable: Array = np.all(np.isfinite(reading) & (reading > 1e-6 * plate.brightest), axis=-1)
+        reading = np.where(usable[..., None], reading, np.float32(1))
+        images[i] /= reading
+        weights[i] *= np.where(usable, 1 / noise.photons(reading * power, mix), np.float32(0))
+        if ambient is not None:
+            ambient[i] *= (mix / reading).sum(axis=-1)
+        if lights.near:
+            on_plane = lights.only(i).vectors(np.stack([x, y, np.zeros_like(x)]))[0, ..., 2]
+            relative[i] = vectors[i] / on_plane[..., None]
+        else:
+            relative[i] = vectors[i] / vectors[i, ..., 2:]
+    return relative, ambient
+
+
+def _related(
+    images: Array,
+    weights: Array,
+    lights: LightField,
+    plate: Plate,
+    points: Array,
+    pixels: Array | None,
+    photons: Array,
+) -> Array:
+    """As `_relative`, for near lamps without ambient light; ``photons`` (L, C) is the variance they bring."""
+    from nlights_core.photographs.compiled_relation import relate
+
+    assert lights.positions is not None
+    relative = np.empty((len(images), *points.shape[1:], 3), np.float32)
+    seen, lens = np.empty((0, 0), np.float32), np.zeros(4)
+    if pixels is not None and plate.camera is not None:
+        x, y, z = plate.camera
+        lens = np.array([x, y, z**-2, plate.vignetting])
+        seen = 1 + ((pixels[0] - np.float32(x)) ** 2 + (pixels[1] - np.float32(y)) ** 2) * np.float32(z**-2)
+    place, least = np.array([plate.left, plate.top, plate.step]), 1e-6 * plate.brightest
+    for i, position in enumerate(lights.positions):
+        # A computed plate has one channel, whatever the photographs have.
+        own = np.broadcast_to(plate.logarithm[i], (*plate.logarithm.shape[1:3], images.shape[-1]))
+        own = np.require(own, np.float32, ["C", "W"])
+        relate(
+            points, position, own, place, lens, seen, photons[i], least, images[i], weights[i], relative[i]
+        )
+    return relative
+
+
+@contextmanager
+def darkroom(tile: Tile, scratch: Path, *, flats: bool = False) -> Iterator[Darkroom]:
+    """Open the photographs of a tile (or of its flats) together.
+
+    Raises
+    ------
+    TileError
+        When they are missing, unreadable or do not fit together.
+    """
+    info = survey(tile)
+    paths = tile.flats if flats else tile.frames
+    if paths is None:
+        raise TileError(f"{tile.artwork}/{tile.name}: flats: are missing; add them to artwork.yaml")
+    with ExitStack() as stack:
+
+        def opened(path: Path, encoding: Encoding) -> Photograph:
+            return stack.enter_context(Photograph(path, encoding, scratch))
+
+        yield Darkroom(
+            grid=grid_of(tile, info),
+            info=info,
+            photographs={lamp: opened(path, tile.encoding) for lamp, path in paths.items()},
+            paths=paths,
+            dark=opened(tile.dark, tile.encoding) if tile.dark else None,
+            mask=opened(tile.mask, Encoding()) if tile.mask and not flats else None,
+            subject="flats" if flats else "frames",
+            sensor=tile.sensor,
+        )
+
+
+def bands(grid: PixelGrid, bytes_per_pixel: int) -> Iterator[tuple[int, int]]:
+    """Cut a grid into bands of rows, as (start, stop), of `BAND_BYTES` or what the memory allows."""
+    size = min(BAND_BYTES, band_memory() // SOLVING)
+    rows = max(1, min(grid.rows, size // max(1, bytes_per_pixel * grid.columns)))
+    for start in range(0, grid.rows, rows):
+        yield start, min(start + rows, grid.rows)

@@ -1,0 +1,1 @@
+"""Products: maps and meshes that leave the system, and where people find them."""

@@ -1,0 +1,1 @@
+"""Report: pictures, numbers and words by which people judge a tile."""

@@ -1,0 +1,146 @@
+"""What people read of a tile: the report, its numbers, and what made them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from nlights_core import __version__
+from nlights_core.capture import Tile
+from nlights_core.fields import LightField
+from nlights_core.files import tiffs
+from nlights_core.files.arrays import read_array
+from nlights_core.frames import Array, PixelGrid
+from nlights_core.lamps.emission import read_flat_check
+from nlights_core.near_light.levelling import read_level
+from nlights_core.near_light.position_uncertainty import position_uncertainty
+from nlights_core.photographs.noise import read_noise
+from nlights_core.photographs.plates import read_plate
+from nlights_core.products.writing import WHAT, open_maps, white_reflectance
+from nlights_core.report import quality
+from nlights_core.report.figures import NOT_IN_RECIPE, NOT_MEASURED, Number
+from nlights_core.report.flat_quality import of_flat_levels
+from nlights_core.solving.agreement import read_agreement
+from nlights_core.store import RECORD, ArtefactRef, Store
+
+
+def write_report(
+    folder: Path,
+    store: Store,
+    tile: Tile,
+    record: Mapping[str, Any],
+    refs: Mapping[str, ArtefactRef | None],
+    grid: PixelGrid,
+) -> None:
+    """Write ``report.html``, ``quality.json`` and ``provenance.json``."""
+    from nlights_core.report.page import draw
+    from nlights_core.report.page import write_report as write_html
+
+    made = {name: store.path(ref) for name, ref in refs.items() if ref is not None}
+    normals, height = refs["normals"], refs["height"]
+    assert normals is not None
+    assert height is not None
+    maps = open_maps(store, normals, height, refs["trend"])
+    maps["measured"] = maps["normals"]
+    for name in ("albedo", "reflection", "normals", "confidence"):
+        maps[name] = tiffs.read_tiff(made["maps"] / f"{name}.tif")
+    if "plate" in made:
+        maps["plate"] = read_plate(made["plate"]).inside(grid)
+    if "bias" in made:
+        maps["bias"] = read_array(made["bias"] / "bias.npy")
+    white = white_reflectance(store, normals)
+    files = [*made["maps"].iterdir(), *made["mesh"].iterdir()]
+    said = {
+        "artwork": tile.artwork,
+        "title": tile.title,
+        "tile": tile.name,
+        "origin_mm": list(tile.origin_mm),
+        "stand": tile.stand.name if tile.stand else None,
+        "uncertainty_mm": tile.stand.uncertainty_mm if tile.stand else None,
+        "white": white,
+        "recipe": record["facts"]["recipe"],
+        "lamps": list(tile.lamps),
+        "lights": json.loads((made["lights"] / "lights.json").read_text()),
+        "mesh": json.loads((made["mesh"] / "mesh.json").read_text()),
+        "version": __version__,
+        "key": record["key"],
+        "files": [
+            {"name": path.name, "bytes": path.stat().st_size, "what": WHAT[path.name]}
+            for path in sorted(files)
+            if path.name in WHAT
+        ],
+    }
+    # Drawing keeps mostly Python busy and measuring mostly compiled loops, so they go on together.
+    with ThreadPoolExecutor(1) as beside:
+        drawing = beside.submit(draw, said, maps, grid)
+        numbers = _numbers(maps, grid, tile, made, said["lights"], white)
+        if height.stage == "level":
+            numbers += quality.of_level(read_level(store.path(height)))
+        numbers = quality.grouped(numbers)
+        write_html(folder / "report.html", said, drawing.result(), numbers)
+    provenance = {
+        "nlights": __version__,
+        "artwork": tile.artwork,
+        "title": tile.title,
+        "tile": tile.name,
+        "origin_mm": list(tile.origin_mm),
+        "key": record["key"],
+        "recipe": record["facts"]["recipe"],
+        "stand": record["facts"]["stand"],
+        "photographs": {lamp: path.name for lamp, path in tile.frames.items()},
+        "stages": _lineage(store, refs),
+    }
+    _write_json(folder / "quality.json", [asdict(number) for number in numbers])
+    _write_json(folder / "provenance.json", provenance)
+
+
+def _numbers(
+    maps: Mapping[str, Array],
+    grid: PixelGrid,
+    tile: Tile,
+    made: Mapping[str, Path],
+    lights: dict[str, Any],
+    white: float | None,
+) -> list[Number]:
+    """The numbers of the report, but for those of the level."""
+    stand, uncertainty = tile.stand, tile.stand.uncertainty_mm if tile.stand else None
+    field = LightField.from_record(lights)
+    numbers = quality.measure(maps, grid, tile.lamps)
+    numbers += quality.of_agreement(read_agreement(made["normals"]), tile.lamps)
+    wrong = uncertainty and position_uncertainty(
+        maps["normals"], grid, field, uncertainty, photographed=white is not None
+    )
+    numbers += quality.of_positions(wrong or None, uncertainty)
+    check = read_flat_check(made["plate"]) if "plate" in made else None
+    absent = NOT_MEASURED if white is not None else NOT_IN_RECIPE
+    numbers += quality.of_flat(check, stand.name if stand else None, absent)
+    flat = made["plate"] if white is not None else None
+    return numbers + of_flat_levels(
+        maps["plate"] if flat else None, field.power, read_noise(flat) if flat else None, tile.lamps, absent
+    )
+
+
+def _lineage(store: Store, refs: Mapping[str, ArtefactRef | None]) -> list[dict[str, Any]]:
+    """Records of all artefacts behind some, each once, causes first, without times and places."""
+    found: dict[str, dict[str, Any]] = {}
+
+    def visit(folder: str) -> None:
+        record = json.loads((store.root / folder / RECORD).read_text(encoding="utf-8"))
+        for cause in record.pop("input_folders").values():
+            visit(cause)
+        for name in ("seconds", "files"):
+            record.pop(name)
+        found.setdefault(record["key"], record)
+
+    for ref in refs.values():
+        if ref is not None:
+            visit(ref.folder)
+    return list(found.values())
+
+
+def _write_json(path: Path, value: Any) -> None:
+    path.write_text(json.dumps(value, indent=1) + "\n", encoding="utf-8")

@@ -1,0 +1,1 @@
+"""Simulation: captures whose truth is known, and products compared with it."""

@@ -1,0 +1,169 @@
+"""Compiled choices: to which of its samples each pixel of a block is fitted, and the fit.
+
+What the normal solvers `progressive` and `rank-trim` say in numpy, over blocks of pixels as
+`nlights_core.solving.compiled_fits` has them; and the door to all kernels' fits.
+"""
+
+from __future__ import annotations
+
+from typing import Any, get_args
+
+import numba
+import numpy as np
+
+from nlights_core.frames import Array
+from nlights_core.photographs.blocks import BLOCK, ONE, TRIAL, USABLE, VALUE, ZERO, compiled
+from nlights_core.solving.compiled_fits import (
+    DETERMINANT,
+    Work,
+    count_usable,
+    inverted,
+    leverage,
+    missed_by,
+    normal_equations,
+    refined,
+    solved_exactly,
+    surely_determined,
+)
+from nlights_core.solving.compiled_medians import take_medians
+from nlights_core.solving.compiled_reweighting import reweigh_blocks
+from nlights_core.solving.rules import Kernel, Rule
+
+_ROBUST, _PROGRESSIVE, _RANK_TRIM, _MEDIAN = (
+    get_args(Kernel).index(name) for name in ("robust", "progressive", "rank-trim", "median-of-triplets")
+)
+_LEAST_REST = np.float32(1e-6)
+
+
+@compiled
+def fit_blocks(work: Work, rule: Rule) -> None:
+    """Fit all blocks.
+
+    Parameters
+    ----------
+    work : Work
+        Its samples have `VALUE`, `USABLE`, `TRIAL` and the light; `TRIAL` becomes the weight that
+        is used.  Its fits receive `SCALED`, the inverse in `MATRIX`, and `DETERMINANT`.
+    rule : Rule
+        To which samples.
+    """
+    samples, fits = work.samples, work.fits
+    if rule.way == _ROBUST:
+        reweigh_blocks(work)
+    else:
+        for block in range(len(samples)):
+            if rule.way == _RANK_TRIM:
+                _trim(samples[block], work.rows, rule.darkest, rule.brightest)
+            normal_equations(samples[block], fits[block])
+            inverted(fits[block])
+            if rule.way == _PROGRESSIVE:
+                _discard(samples[block], fits[block], work.rows, rule.keep, rule.condition)
+    for block in range(len(samples)):
+        refined(samples[block], fits[block])
+        if rule.way == _MEDIAN:
+            take_medians(samples[block], fits[block], work, rule.condition)
+
+
+@compiled
+def _trim(samples: Array, rows: Array, darkest: float, brightest: float) -> None:
+    """Trial weights without the darkest and the brightest; see `nlights_core.solving.robust_fitting.rank_trimmed`.
+
+    A sample is at least as bright as the one of a rank if more samples than that are no brighter.
+    """
+    first, last, upto, below = rows[0], rows[1], rows[2], rows[3]
+    count_usable(samples, last)
+    for p in range(BLOCK):
+        count = np.float64(last[p])
+        first[p] = np.float32(np.floor(darkest * count))
+        last[p] = np.float32(max(np.floor((1 - brightest) * count) - 1, 0.0))
+    for i in range(len(samples)):
+        own = samples[i]
+        for p in range(BLOCK):
+            upto[p], below[p] = ZERO, ZERO
+        for j in range(len(samples)):
+            other = samples[j]
+            for p in range(BLOCK):
+                used = other[USABLE + p] > ZERO
+                upto[p] += ONE if used & (other[VALUE + p] <= own[VALUE + p]) else ZERO
+                below[p] += ONE if used & (other[VALUE + p] < own[VALUE + p]) else ZERO
+        for p in range(BLOCK):
+            kept = (upto[p] > first[p]) & (below[p] <= last[p])
+            own[TRIAL + p] = own[USABLE + p] if kept else ZERO
+
+
+@compiled
+def _discard(samples: Array, fit: Array, rows: Array, keep: int, condition: float) -> None:
+    """Discard, one by one, the samples that the others predict worst, until so many are left.
+
+    A discard that would leave badly spread lights is not made.  Whether one is, single precision
+    cannot always tell; such pixels are begun anew in double precision.
+    """
+    counts, worst, unsure, largest = rows[0], rows[1], rows[2], rows[3]
+    sure = surely_determined(condition)
+    count_usable(samples, counts)
+    for p in range(BLOCK):
+        unsure[p] = ZERO if fit[DETERMINANT + p] > sure else counts[p]
+    for _ in range(len(samples) - keep):
+        # Which of two alike is worse, the last digits tell.
+        refined(samples, fit)
+        _find_worst(samples, fit, largest, worst)
+        for p in range(BLOCK):
+            worst[p] = worst[p] if counts[p] > keep else -ONE
+        for i in range(len(samples)):
+            for p in range(BLOCK):
+                of = samples[i]
+                of[TRIAL + p] = ZERO if worst[p] == i else of[TRIAL + p]
+        normal_equations(samples, fit)
+        inverted(fit)
+        for p in range(BLOCK):
+            unsure[p] = unsure[p] if fit[DETERMINANT + p] > sure else counts[p]
+            counts[p] -= ONE if counts[p] > keep else ZERO
+    for p in range(BLOCK):
+        if unsure[p] > keep:
+            _discard_exactly(samples, fit, p, keep, condition)
+
+
+@numba.njit(inline="always")
+def _alone(of: Array, fit: Array, p: int) -> Any:
+    """Square of what a sample misses, by its weight, when the others predict it."""
+    missed = missed_by(of, fit, p) / max(ONE - of[TRIAL + p] * leverage(of, fit, p), _LEAST_REST)
+    return of[TRIAL + p] * missed * missed
+
+
+@compiled
+def _find_worst(samples: Array, fit: Array, largest: Array, worst: Array) -> None:
+    """Place of the sample of each pixel that the others predict worst."""
+    for p in range(BLOCK):
+        largest[p], worst[p] = -ONE, ZERO
+    for i in range(len(samples)):
+        of, which = samples[i], np.float32(i)
+        for p in range(BLOCK):
+            alone = _alone(of, fit, p)
+            larger = (of[TRIAL + p] > ZERO) & (alone > largest[p])
+            worst[p] = which if larger else worst[p]
+            largest[p] = alone if larger else largest[p]
+
+
+@compiled
+def _discard_exactly(samples: Array, fit: Array, p: int, keep: int, condition: float) -> None:
+    """`_discard` of one pixel, every fit in double precision."""
+    count = 0
+    for i in range(len(samples)):
+        samples[i, TRIAL + p] = samples[i, USABLE + p]
+        count += 1 if samples[i, USABLE + p] > ZERO else 0
+    # Nothing is sure of it, so it is solved exactly in the end too.
+    fit[DETERMINANT + p] = ZERO
+    known = solved_exactly(samples, fit, p, TRIAL, condition)
+    while count > keep:
+        worst, largest = 0, -ONE
+        for i in range(len(samples) if known else 0):
+            alone = _alone(samples[i], fit, p)
+            if samples[i, TRIAL + p] > ZERO and alone > largest:
+                worst, largest = i, alone
+        weight = samples[worst, TRIAL + p]
+        samples[worst, TRIAL + p] = ZERO
+        known = solved_exactly(samples, fit, p, TRIAL, condition)
+        if not known:
+            samples[worst, TRIAL + p] = weight
+            return
+        count -= 1

@@ -1,0 +1,317 @@
+"""Compiled reweighting: what `nlights_core.solving.robust_fitting` says in numpy, over blocks of pixels.
+
+See `nlights_core.solving.compiled_fits` for the blocks.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numba
+import numpy as np
+
+from nlights_core.algorithms import PHOTONS
+from nlights_core.frames import Array
+from nlights_core.photographs.blocks import BLOCK, ONE, SAMPLE, TRIAL, USABLE, ZERO, compiled, copy
+from nlights_core.solving.compiled_fits import (
+    DETERMINANT,
+    FIT,
+    MATRIX,
+    SCALED,
+    Work,
+    add_sample,
+    count_usable,
+    inverted,
+    leverage,
+    missed_by,
+    normal_equations,
+)
+from nlights_core.solving.robust_fitting import (
+    ABSOLUTE_ROUNDS,
+    BIWEIGHT_ROUNDS,
+    DARKEST,
+    FEW,
+    FEWEST,
+    MODEL_ERROR,
+    SUSPICIOUS,
+    TUKEY,
+)
+
+_PHOTONS, _DARKEST = np.float32(PHOTONS), np.float32(DARKEST)
+_MODEL_VARIANCE = np.float32(MODEL_ERROR**2)
+_SUSPICIOUS = np.float32(SUSPICIOUS**2)
+_TUKEY, _SMALLEST_REST = np.float32(TUKEY), np.float32(0.01)
+
+
+@numba.njit(inline="always")
+def _albedo_squared(fit: Array, p: int) -> Any:
+    x, y, z = fit[SCALED + p], fit[SCALED + BLOCK + p], fit[SCALED + 2 * BLOCK + p]
+    return x * x + y * y + z * z
+
+
+@compiled
+def doubtful(samples: Array, fit: Array, worst: Array, counts: Array, chosen: Array) -> int:
+    """Find the pixels in which least squares are contradicted by a sample.
+
+    Parameters
+    ----------
+    samples, fit : arrays
+        The fit with all usable samples.
+    worst, counts : (BLOCK,) arrays
+        Scratch.
+    chosen : (BLOCK,) int array
+        Receives the pixels.
+
+    Returns
+    -------
+    int
+        How many they are.
+    """
+    for p in range(BLOCK):
+        worst[p] = ZERO
+        counts[p] = ZERO
+    for i in range(len(samples)):
+        of = samples[i]
+        for p in range(BLOCK):
+            squared = _albedo_squared(fit, p)
+            weight = of[USABLE + p]
+            variance = _photon_variance(squared) + weight * _MODEL_VARIANCE * squared
+            missed = missed_by(of, fit, p)
+            surprise = missed * missed * weight / variance
+            worst[p] = surprise if surprise > worst[p] else worst[p]
+            counts[p] += ONE if weight > ZERO else ZERO
+    found = 0
+    for p in range(BLOCK):
+        if worst[p] > _SUSPICIOUS and counts[p] >= FEWEST and _albedo_squared(fit, p) > ZERO:
+            chosen[found] = p
+            found += 1
+    return found
+
+
+@numba.njit(inline="always")
+def _photon_variance(squared: Any) -> Any:
+    """Variance of a sample of weight 1 at an albedo whose square is given."""
+    return squared / (max(np.sqrt(squared), _DARKEST) * _PHOTONS)
+
+
+@compiled
+def biweighted(samples: Array, fit: Array, noise: Array, rows: Array, quantiles: Array) -> None:
+    """Trial weights by Tukey's biweight about the L1 fit; see `robust_fitting.reweighted`.
+
+    Parameters
+    ----------
+    samples, fit : arrays
+        The least-squares fit of doubtful pixels; at the end `MATRIX` and `RIGHT` hold the normal
+        equations with the weights that were found.
+    noise : (3, L, BLOCK) array
+        Scratch: inverse of the standard deviation of each sample, and residuals in its units.
+    rows : (10, BLOCK) array
+        Scratch.
+    quantiles : (L + 1,) array
+        By the number of usable lights, the quantile of `robust_fitting.scale_quantile`.
+    """
+    precision, missed, other = noise[0], noise[1], noise[2]
+    scale, other_scale, start = rows[0], rows[1], rows[2:5]
+    for k in range(3):
+        copy(fit[SCALED + k * BLOCK : SCALED + (k + 1) * BLOCK], start[k])
+    _expected(samples, fit, precision)
+    for _ in range(ABSOLUTE_ROUNDS):
+        _least_absolute_step(samples, fit, precision)
+        inverted(fit)
+    _surprises(samples, fit, precision, missed)
+    _scales(samples, missed, quantiles, scale, rows[7:])
+    if len(samples) <= FEW:
+        _without_worst(samples, fit, precision, start, rows[5], rows[6])
+        _surprises(samples, fit, precision, other)
+        _scales(samples, other, quantiles, other_scale, rows[7:])
+        _keep_better(missed, other, scale, other_scale)
+    for p in range(BLOCK):
+        scale[p] = ONE / (_TUKEY * max(scale[p], ONE))
+    _biweigh(samples, missed, scale)
+    for _ in range(BIWEIGHT_ROUNDS - 1):
+        normal_equations(samples, fit)
+        inverted(fit)
+        _surprises(samples, fit, precision, missed)
+        _biweigh(samples, missed, scale)
+    normal_equations(samples, fit)
+
+
+@compiled
+def _expected(samples: Array, fit: Array, precision: Array) -> None:
+    """Inverse of the standard deviation that each sample is expected to have; 0 if not used."""
+    for i in range(len(samples)):
+        of, out = samples[i], precision[i]
+        for p in range(BLOCK):
+            squared = _albedo_squared(fit, p)
+            weight = of[USABLE + p]
+            variance = _photon_variance(squared) + weight * _MODEL_VARIANCE * squared
+            out[p] = np.sqrt(weight / variance)
+
+
+@compiled
+def _least_absolute_step(samples: Array, fit: Array, precision: Array) -> None:
+    """Normal equations with weights that make squares of residuals absolute ones."""
+    for k in range(MATRIX, DETERMINANT):
+        fit[k] = ZERO
+    for i in range(len(samples)):
+        of, expected = samples[i], precision[i]
+        for p in range(BLOCK):
+            of[TRIAL + p] = of[USABLE + p] / max(abs(missed_by(of, fit, p)) * expected[p], ONE)
+            add_sample(of, fit, p)
+
+
+@compiled
+def _surprises(samples: Array, fit: Array, precision: Array, missed: Array) -> None:
+    """Absolute residuals in units of the expected noise; infinite where a sample is not used."""
+    for i in range(len(samples)):
+        of, expected, out = samples[i], precision[i], missed[i]
+        for p in range(BLOCK):
+            surprise = abs(missed_by(of, fit, p)) * expected[p]
+            out[p] = surprise if of[USABLE + p] > ZERO else np.float32(np.inf)
+
+
+@compiled
+def _scales(samples: Array, missed: Array, quantiles: Array, scale: Array, rows: Array) -> None:
+    """Robust scale of the residuals of an L1 fit, as `robust_fitting` has it.
+
+    The bits of numbers that are not negative are ordered like the numbers.  So the one of a given
+    rank is found bit by bit, from the highest: a bit is set if fewer than that many numbers are
+    below what would result.
+    """
+    bits, found = missed.view(np.int32), scale.view(np.int32)
+    counts, ranks, below = rows[0], rows[1].view(np.int32), rows[2].view(np.int32)
+    count_usable(samples, counts)
+    for p in range(BLOCK):
+        found[p] = 0
+        ranks[p] = (np.int32(counts[p]) + 4) >> 1
+    for shift in range(30, -1, -1):
+        bit = np.int32(1 << shift)
+        for p in range(BLOCK):
+            below[p] = 0
+        for i in range(len(samples)):
+            of_light = bits[i]
+            for p in range(BLOCK):
+                below[p] += of_light[p] < (found[p] | bit)
+        for p in range(BLOCK):
+            found[p] = found[p] | (bit if below[p] < ranks[p] else np.int32(0))
+    for p in range(BLOCK):
+        scale[p] /= quantiles[np.int64(counts[p])]
+
+
+@compiled
+def _without_worst(
+    samples: Array, fit: Array, precision: Array, start: Array, largest: Array, worst: Array
+) -> None:
+    """Fit without the sample whose absence lets the sum of squares fall most."""
+    for i in range(len(samples)):
+        of = samples[i]
+        for p in range(BLOCK):
+            of[TRIAL + p] = of[USABLE + p]
+    for p in range(BLOCK):
+        largest[p] = -ONE
+        worst[p] = -ONE
+    normal_equations(samples, fit)
+    inverted(fit)
+    for k in range(3):
+        copy(start[k], fit[SCALED + k * BLOCK : SCALED + (k + 1) * BLOCK])
+    for i in range(len(samples)):
+        of, expected, which = samples[i], precision[i], np.float32(i)
+        for p in range(BLOCK):
+            own = leverage(of, fit, p)
+            surprise = missed_by(of, fit, p) * expected[p]
+            fall = surprise * surprise / max(ONE - of[USABLE + p] * own, _SMALLEST_REST)
+            worst[p] = which if fall > largest[p] else worst[p]
+            largest[p] = fall if fall > largest[p] else largest[p]
+    for i in range(len(samples)):
+        of, which = samples[i], np.float32(i)
+        for p in range(BLOCK):
+            of[TRIAL + p] = ZERO if worst[p] == which else of[USABLE + p]
+    normal_equations(samples, fit)
+    inverted(fit)
+
+
+@compiled
+def _keep_better(missed: Array, other: Array, scale: Array, other_scale: Array) -> None:
+    """Take the residuals of the smaller scale."""
+    for i in range(len(missed)):
+        one, another = missed[i], other[i]
+        for p in range(BLOCK):
+            one[p] = another[p] if other_scale[p] < scale[p] else one[p]
+    for p in range(BLOCK):
+        scale[p] = other_scale[p] if other_scale[p] < scale[p] else scale[p]
+
+
+@compiled
+def _biweigh(samples: Array, missed: Array, per_reach: Array) -> None:
+    """Trial weights by Tukey's biweight of residuals; ``per_reach``: 1 over where it ends."""
+    for i in range(len(samples)):
+        of, surprise = samples[i], missed[i]
+        for p in range(BLOCK):
+            share = surprise[p] * per_reach[p]
+            rest = max(ONE - share * share, ZERO)
+            of[TRIAL + p] = of[USABLE + p] * rest * rest
+
+
+@compiled
+def reweigh_blocks(work: Work) -> None:
+    """Fit all blocks by least squares, and what those cannot explain by `biweighted`.
+
+    Parameters
+    ----------
+    work : Work
+        As for `nlights_core.solving.compiled_choices.fit_blocks`.
+    """
+    samples, fits, rows = work.samples, work.fits, work.rows
+    which, chosen, fewer = work.places[0], work.places[1], work.places[2]
+    waiting = 0
+    for block in range(len(samples)):
+        normal_equations(samples[block], fits[block])
+        inverted(fits[block])
+        found = doubtful(samples[block], fits[block], rows[0], rows[1], fewer)
+        if found > BLOCK // 2:
+            biweighted(samples[block], fits[block], work.noise, rows, work.quantiles)
+            _undo_others(samples[block], fits[block], fewer[:found], rows[0])
+            continue
+        for k in range(found):
+            which[waiting], chosen[waiting] = block, fewer[k]
+            waiting += 1
+            if waiting == BLOCK:
+                _reweigh(work, waiting)
+                waiting = 0
+    if waiting:
+        _reweigh(work, waiting)
+
+
+@compiled
+def _reweigh(work: Work, size: int) -> None:
+    """Collect pixels from their blocks into one, solve them by `biweighted`, and return them."""
+    samples, fits, some, fit = work.samples, work.fits, work.some, work.fit
+    for q in range(size):
+        block, p = work.places[0, q], work.places[1, q]
+        for i in range(len(some)):
+            for k in range(0, SAMPLE, BLOCK):
+                some[i, k + q] = samples[block, i, k + p]
+        for k in range(0, FIT, BLOCK):
+            fit[k + q] = fits[block, k + p]
+    biweighted(some, fit, work.noise, work.rows, work.quantiles)
+    inverted(fit)
+    for q in range(size):
+        block, p = work.places[0, q], work.places[1, q]
+        for i in range(len(some)):
+            samples[block, i, TRIAL + p] = some[i, TRIAL + q]
+        for k in range(0, FIT, BLOCK):
+            fits[block, k + p] = fit[k + q]
+
+
+@compiled
+def _undo_others(samples: Array, fit: Array, chosen: Array, others: Array) -> None:
+    """Give all pixels but the chosen ones their usable weights back, and solve."""
+    others[:] = ONE
+    for p in chosen:
+        others[p] = ZERO
+    for i in range(len(samples)):
+        of = samples[i]
+        for p in range(BLOCK):
+            of[TRIAL + p] = of[USABLE + p] if others[p] > ZERO else of[TRIAL + p]
+    normal_equations(samples, fit)
+    inverted(fit)

@@ -1,0 +1,101 @@
+"""The overview: block means that are those of all pixels, heights that come back to their pixels."""
+
+import numpy as np
+import pytest
+import tifffile
+
+from nlights_core.configurations import load_stand
+from nlights_core.fields import LightField
+from nlights_core.manifest import load_capture
+from nlights_core.near_light.overview import Enlarged, block_edge, reduced_room
+from nlights_core.photographs.development import darkroom
+from nlights_core.recipe import load_recipe
+from nlights_core.simulation.captures import simulate
+from nlights_core.stages import lights, overview, plate
+from nlights_core.store import Store
+
+
+@pytest.fixture(scope="module")
+def relief(tmp_path_factory):
+    """1050 columns: blocks of 2 x 2 pixels, and an odd number of rows that fill no block."""
+    folder = tmp_path_factory.mktemp("relief") / "capture"
+    simulate(folder, load_stand("vertical-dark"), scene="relief", width=1050, seed=3)
+    return folder
+
+
+def test_blocks_hold_the_means_of_their_pixels_and_know_saturation(relief, tmp_path):
+    tile = load_capture(relief)[0]
+    first = next(iter(tile.frames.values()))
+    with darkroom(tile, tmp_path) as room:
+        small = reduced_room(room, lambda _: None)
+        unit = LightField(tile.lamps, positions=load_stand("vertical-dark").lamp_positions())
+        raw = small.raw(10, 12, unit)
+    assert block_edge(1050) == 2
+    assert small.grid.shape == (tifffile.imread(first).shape[0] // 2, 525)
+    assert small.grid.pixel_size == pytest.approx(2 * 500 / 1050)
+    light = tifffile.imread(first)[20:24, :1050] / 65535 - tifffile.imread(tile.dark)[20:24, :1050] / 65535
+    expected = light.reshape(2, 2, 525, 2, 3).mean(axis=(1, 3))
+    np.testing.assert_allclose(raw.images[0], expected, atol=1e-6)
+    assert not raw.saturated.any()
+
+
+@pytest.mark.parametrize("factor", [1, 3, 4])
+def test_a_plane_comes_back_to_its_pixels(factor):
+    shape = (41, 62)
+    row, column = np.indices(shape, dtype=np.float32)
+    plane = 0.5 * column - 0.2 * row
+    rows, columns = (n // factor for n in shape)
+    blocks = plane[: rows * factor, : columns * factor].reshape(rows, factor, columns, factor)
+    found = Enlarged(blocks.mean(axis=(1, 3)), factor, shape)[0:41]
+    assert found.shape == shape
+    assert found.dtype == np.float32
+    inner = (slice(factor, rows * factor - factor), slice(factor, columns * factor - factor))
+    np.testing.assert_allclose(found[inner], plane[inner], atol=1e-4)
+
+
+def test_what_is_not_known_takes_the_nearest_height():
+    height = np.full((6, 8), 2.0, np.float32)
+    height[2:, 5:] = np.nan
+    np.testing.assert_array_equal(Enlarged(height, 3, (18, 24))[4:17], np.full((13, 24), 2))
+
+
+def test_the_height_of_a_relief_is_found_to_some_hundredths(relief, tmp_path):
+    tile, recipe, store = load_capture(relief)[0], load_recipe("default"), Store(tmp_path / "store")
+    lamps = lights(store, tile, recipe.light_model)
+    store.ensure(lamps)
+    flat = plate(store, tile, recipe.detrend.images, lamps.ref)
+    store.ensure(flat)
+    work = overview(store, tile, lamps.ref, flat.ref, 2)
+    store.ensure(work)
+    truth = tifffile.imread(relief / "truth" / "height.tif")
+    found = Enlarged(np.load(store.path(work.ref) / "height.npy"), 2, truth.shape)[0 : len(truth)]
+    # The constant is found as well: the height counts from the plane of the flat.
+    assert np.abs((found - truth).mean()) < 0.06
+    assert np.std(found - truth) < 0.05
+
+
+def test_a_drift_of_the_lamps_does_not_bend_the_height_that_it_is_found_with(relief, tmp_path):
+    """A tilt that a drift pretends must not be taken for the artwork's, pass after pass."""
+    tile = load_capture(relief)[0]
+    drift = 1 + np.random.default_rng(2).normal(0, 0.01, 8)
+    dark = tifffile.imread(tile.dark).astype(float).mean()
+    frames = {}
+    for (lamp, path), factor in zip(tile.frames.items(), drift, strict=True):
+        frames[lamp] = tmp_path / path.name
+        light = (tifffile.imread(path) - dark) * factor + dark
+        tifffile.imwrite(frames[lamp], np.clip(np.rint(light), 0, 65535).astype(np.uint16), photometric="rgb")
+    tile = tile.model_copy(update={"frames": frames})
+    recipe, store = load_recipe("default"), Store(tmp_path / "store")
+    lamps = lights(store, tile, recipe.light_model)
+    store.ensure(lamps)
+    flat = plate(store, tile, recipe.detrend.images, lamps.ref)
+    store.ensure(flat)
+    deviations = []
+    for passes in (1, 4):
+        work = overview(store, tile, lamps.ref, flat.ref, passes)
+        store.ensure(work)
+        truth = tifffile.imread(relief / "truth" / "height.tif")
+        found = Enlarged(np.load(store.path(work.ref) / "height.npy"), 2, truth.shape)
+        deviations.append(np.std(found[0 : len(truth)] - truth))
+    assert deviations[0] > 0.3
+    assert deviations[1] < 0.15
