@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from nlights_core.configurations import load_stand
+from nlights_core.machine.sources import core_digest
 from nlights_core.manifest import load_capture
 from nlights_core.recipe import load_recipe
-from nlights_core.registry import core_digest
 from nlights_core.simulation.captures import simulate
 from nlights_core.store import RECORD, Store
 from nlights_flows.tiles.chain import digitise_tile

@@ -34,7 +34,7 @@ from nlights_core.solving.agreement import AgreementMeter
 from nlights_core.solving.band_solving import SHADOW, solved
 from nlights_core.solving.fused_solving import FusedSolver
 from nlights_core.solving.kernels import rule_of
-from nlights_core.stages import FLATS
+from nlights_core.stages.inputs import FLATS
 
 SOLVERS = ("least-squares", "robust", "progressive", "rank-trim", "median-of-triplets")
 

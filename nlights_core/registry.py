@@ -24,11 +24,18 @@ from pathlib import Path
 
 import pluggy
 
-import nlights_core
 from nlights_core.algorithms import KINDS, Algorithm
 from nlights_core.errors import PluginError
+from nlights_core.machine.sources import digest_of_files, digests_of_places, files_below
 
 GROUP = "nlights"
+
+BUNDLED = "nlights_plugins"
+"""The package of the algorithms that nLights ships."""
+
+PLUGINS_REST_ON = ("integration", "lamps", "photographs", "solving")
+"""Departments of the core that a plugin may import, beside what every artefact rests on."""
+
 hookspec = pluggy.HookspecMarker(GROUP)
 hookimpl = pluggy.HookimplMarker(GROUP)
 
@@ -164,20 +171,26 @@ def installed() -> Registry:
 
 @cache
 def code_digest(cls: type[Algorithm]) -> str:
-    """Digest of the code behind an algorithm: its module's file, sha256, 16 hexadecimal digits.
+    """Digest the code behind an algorithm: sha256, 16 hexadecimal digits.
 
-    It is part of the cache key, so that an edited plugin computes anew.
+    It is part of the cache key, so that an edited plugin computes anew.  Of a bundled plugin that is its own
+    module, since none leans on another.  Of anybody else's it is all of their package, and what of the core
+    plugins may import.
     """
     path = inspect.getsourcefile(cls)
-    source = Path(path).read_bytes() if path else cls.__qualname__.encode()
-    return hashlib.sha256(source).hexdigest()[:16]
+    if path is None:
+        return hashlib.sha256(cls.__qualname__.encode()).hexdigest()[:16]
+    file = Path(path)
+    if is_bundled(cls):
+        return digest_of_files([file], file.parent)
+    package, *inside = cls.__module__.split(".")
+    top = file.parents[len(inside) - (file.name != "__init__.py")] if inside else file.parent
+    whole = files_below(top) if top.name == package else [file]
+    core = digests_of_places(PLUGINS_REST_ON)
+    parts = [digest_of_files([p for p in whole if p.suffix == ".py"], top), *core.values()]
+    return hashlib.sha256("".join(parts).encode()).hexdigest()[:16]
 
 
-@lru_cache(maxsize=1)
-def core_digest() -> str:
-    """Version of the core and digest of its source: what every cache key starts with."""
-    digest = hashlib.sha256()
-    core = Path(nlights_core.__file__).parent
-    for path in sorted(core.rglob("*.py")):
-        digest.update(path.relative_to(core).as_posix().encode() + b"\0" + path.read_bytes())
-    return f"{nlights_core.__version__}-{digest.hexdigest()[:16]}"
+def is_bundled(cls: type[Algorithm]) -> bool:
+    """Tell whether nLights itself ships an algorithm."""
+    return cls.__module__.split(".")[0] == BUNDLED

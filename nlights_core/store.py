@@ -1,13 +1,14 @@
 """The store: artefacts in folders that are named by what made them.
 
 The store is the cache.  An artefact's key is the digest of its stage, its algorithm with every
-option, the algorithm's code, the core's version and the keys of its inputs: a Merkle chain that
-is known before anything runs.  A folder is written as a draft and renamed whole; two runs that
+option, the code that it rests on and the keys of its inputs: a Merkle chain that is known before
+anything runs.  A folder is written as a draft and renamed whole; two runs that
 race make the same thing, so there is no lock.  Deleting any folder is safe.
 """
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import os
@@ -16,26 +17,28 @@ import socket
 import threading
 import time
 import uuid
-from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import CancelledError, Future
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from xxhash import xxh3_128
+
+from nlights_core import __version__
 from nlights_core.algorithms import Algorithm
 from nlights_core.errors import CaptureError, TileError
-from nlights_core.files.digests import by_reading
 from nlights_core.machine.progress import Progress
-from nlights_core.registry import code_digest, core_digest, installed
+from nlights_core.machine.sources import EVERYTHING_RESTS_ON, digests_of_places
+from nlights_core.registry import code_digest, installed, is_bundled
 
 RECORD = "artefact.json"
 
+CHUNK = 1 << 20
+"""Bytes that are read and hashed at a time: they fit into a core's cache, and seldom ask for Python's lock."""
+
 _reading: dict[Path, threading.Lock] = {}
 """Of files whose digest somebody of this process asked for: who asks meanwhile waits instead of reading too."""
-
-_promised: dict[Path, Future[Any]] = {}
-"""Of files whose digest somebody of this process will find, by better means: who asks waits for it."""
 
 
 @dataclass(frozen=True)
@@ -170,35 +173,31 @@ class Store:
         finally:
             shutil.rmtree(own, ignore_errors=True)
 
-    def digest(self, path: Path, find: Callable[[Path], str] | None = None) -> str:
+    def digest(self, path: Path, stopped: Callable[[], bool] = lambda: False) -> str:
         """XXH3 digest of a file's content, 32 hexadecimal digits; remembered by path, size and time of change.
 
         Parameters
         ----------
         path : Path
             Of the file.
-        find : callable, optional
-            How it is found where it is not remembered.  By default, who `promised` it is awaited; where
-            nobody did, the file is read.
+        stopped : callable
+            Asked now and then whether the digest is no longer wanted.
 
         Raises
         ------
         TileError
-            When the file cannot be read.
+            When the file cannot be read, or reading was stopped.
         """
-        if find is None and (promise := _promised.get(path)):
-            with suppress(CancelledError):
-                promise.exception()  # waits; what was found is remembered, and if nothing was, it is read below
         with _reading.setdefault(path, threading.Lock()):
             try:
-                return self._digest(path, find or by_reading)
+                return self._digest(path, stopped)
             except OSError as fault:
                 reason = "there is no such file" if isinstance(fault, FileNotFoundError) else fault.strerror
                 raise TileError(
                     f"{path}: cannot be read ({reason}); put the photograph there or correct its name"
                 ) from fault
 
-    def _digest(self, path: Path, find: Callable[[Path], str]) -> str:
+    def _digest(self, path: Path, stopped: Callable[[], bool]) -> str:
         status = path.stat()
         memory = self.root / ".digests" / hashlib.sha256(str(path).encode()).hexdigest()[:32]
         stamp = f"{status.st_size} {status.st_mtime_ns} {status.st_ctime_ns} {status.st_ino}"
@@ -206,7 +205,7 @@ class Store:
             known, _, digest = memory.read_text().partition("\n")
             if known == stamp and len(digest) == 32:
                 return digest
-        digest = find(path)
+        digest = _digest_of_content(path, stopped)
         if self.root.is_dir():
             write_whole(memory, f"{stamp}\n{digest}")
         return digest
@@ -222,22 +221,14 @@ class Store:
         make_writable(self.root, "--store")
 
 
-@contextmanager
-def promised(digests: Mapping[Path, Future[Any]]) -> Iterator[None]:
-    """Have who asks for the digests of these files wait, instead of being faster with lesser means.
-
-    Parameters
-    ----------
-    digests : mapping of paths to futures
-        Done when the digest was found by `Store.digest` with a ``find``, or could not be.
-    """
-    _promised.update(digests)
-    try:
-        yield
-    finally:
-        for path, digest in digests.items():
-            if _promised.get(path) is digest:  # or another tile promised it as well
-                del _promised[path]
+def _digest_of_content(path: Path, stopped: Callable[[], bool]) -> str:
+    content, chunk = xxh3_128(), memoryview(bytearray(CHUNK))
+    with path.open("rb", buffering=0) as file:
+        while count := file.readinto(chunk):
+            content.update(chunk[:count])
+            if stopped():
+                raise InterruptedError(errno.EINTR, "no longer asked for", str(path))
+    return content.hexdigest()
 
 
 def make_writable(folder: Path, option: str) -> None:
@@ -293,6 +284,7 @@ def describe(
     artwork: str,
     tile: str,
     *,
+    rests_on: Iterable[str] = (),
     algorithm: Algorithm | None = None,
     inputs: Mapping[str, ArtefactRef | None] | None = None,
     facts: Mapping[str, Any] | None = None,
@@ -303,6 +295,9 @@ def describe(
     ----------
     stage, artwork, tile : str
         Where it belongs.
+    rests_on : iterable of str
+        Departments of the core whose code decides its content, beside that of the stage itself and
+        `nlights_core.machine.sources.EVERYTHING_RESTS_ON`.
     algorithm : Algorithm, optional
         Its name, options and code enter the key.
     inputs : mapping of names to artefacts, optional
@@ -317,23 +312,34 @@ def describe(
         The same in full, for ``artefact.json``.
     """
     given = {name: ref for name, ref in (inputs or {}).items() if ref is not None}
+    origin = installed().origin(algorithm) if algorithm else None
+    places = (*EVERYTHING_RESTS_ON, f"stages.{stage}", *rests_on)
     cause: dict[str, Any] = {
         "stage": stage,
-        "core": core_digest(),
+        "code": digests_of_places(places),
         "algorithm": None
         if algorithm is None
         else {
             "use": algorithm.name,
             "options": algorithm.model_dump(mode="json"),
             "code": code_digest(type(algorithm)),
-            "origin": installed().origin(algorithm),
+            # Its authors may ship more than code; what nLights ships with a version is in the code already.
+            "version": None if is_bundled(type(algorithm)) else origin,
         },
         "inputs": {name: ref.key for name, ref in given.items()},
         "facts": dict(facts or {}),
     }
     key = hashlib.sha256(json.dumps(cause, sort_keys=True).encode()).hexdigest()
-    places = {name: ref.folder for name, ref in given.items()}
-    record = {"artwork": artwork, "tile": tile, "key": key, **cause, "input_folders": places}
+    # What follows the cause says more, but decides nothing: another version with the same code makes the same.
+    record = {
+        "artwork": artwork,
+        "tile": tile,
+        "key": key,
+        **cause,
+        "nlights": __version__,
+        "origin": origin,
+        "input_folders": {name: ref.folder for name, ref in given.items()},
+    }
     return ArtefactRef(stage, artwork, tile, key), record
 
 

@@ -22,8 +22,10 @@ from nlights_core.products.integrability import integrable_normals, integrable_u
 from nlights_core.products.meshes import write_glb
 from nlights_core.products.pixel_meshes import write_ply
 from nlights_core.products.viewing import NormalsView, write_albedo_view
-from nlights_core.solving.band_solving import COLOURS
 from nlights_core.store import RECORD, ArtefactRef, Store, link_or_copy
+
+COLOURED = ("albedo", "reflection")
+"""Maps that the normal stage writes as they leave the system."""
 
 FRAME = "plane frame: x right, y up, z from the artwork to the camera; NaN where not known"
 
@@ -59,7 +61,7 @@ def open_maps(
         "frames",
     )
     maps = {name: read_array(source / f"{name}.npy") for name in names}
-    maps |= {name: tiffs.read_tiff(source / f"{name}.tif") for name in COLOURS}
+    maps |= {name: tiffs.read_tiff(source / f"{name}.tif") for name in COLOURED}
     maps["height"] = read_array(store.path(height) / "height.npy")
     if trend is not None:
         maps["trend"] = read_array(store.path(trend) / "trend.npy")
@@ -138,7 +140,7 @@ def write_maps(
         "where not known",
         read_soon=True,
     )
-    for name in COLOURS:
+    for name in COLOURED:
         _pass_on(coloured / f"{name}.tif", folder / f"{name}.tif", grid, compression)
     exposure = 1.0 if absolute else _exposure(maps["albedo"])
     write_albedo_view(folder / "albedo_view.tif", maps["albedo"], grid, exposure, compression)

@@ -3,7 +3,7 @@
 import errno
 import json
 import os
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from xxhash import xxh3_128
 
 from nlights_core.errors import CaptureError, TileError
 from nlights_core.files.arrays import BandWriter, read_array
-from nlights_core.store import Store, Work, describe, promised
+from nlights_core.store import Store, Work, describe
 from nlights_plugins.integrators import Simchony
 
 
@@ -119,7 +119,7 @@ def test_a_digest_that_many_ask_for_at_once_is_found_once(tmp_path, monkeypatch)
         begun.append(path)
         return xxh3_128()
 
-    monkeypatch.setattr("nlights_core.files.digests.xxh3_128", counted)
+    monkeypatch.setattr("nlights_core.store.xxh3_128", counted)
     with ThreadPoolExecutor(8) as pool:
         # Each with a store of its own, as tasks have.
         digests = list(pool.map(lambda _: Store(store.root).digest(path), range(8)))
@@ -127,25 +127,19 @@ def test_a_digest_that_many_ask_for_at_once_is_found_once(tmp_path, monkeypatch)
     assert len(begun) == 1
 
 
-def test_who_asks_for_a_promised_digest_waits_and_does_not_find_it_by_itself(tmp_path):
-    store, path, promise = Store(tmp_path / "store"), tmp_path / "photograph", Future()
-    store.prepare()
-    path.write_bytes(b"one")
-    with ThreadPoolExecutor() as pool, promised({path: promise}):
-        asked = pool.submit(Store(store.root).digest, path)
-        with pytest.raises(TimeoutError):
-            asked.result(0.2)
-        store.digest(path, lambda _: "0" * 32)
-        promise.set_result("0" * 32)
-        assert asked.result() == "0" * 32
+def test_a_digest_that_is_no_longer_asked_for_stops_reading(tmp_path):
+    store, path = Store(tmp_path / "store"), tmp_path / "photograph"
+    path.write_bytes(bytes(3 << 20))
+    asked = []
 
+    def stopped():
+        asked.append(True)
+        return True
 
-def test_a_digest_whose_promise_was_taken_back_is_found_by_reading(tmp_path):
-    store, path, promise = Store(tmp_path / "store"), tmp_path / "photograph", Future()
-    path.write_bytes(b"one")
-    promise.cancel()
-    with promised({path: promise}):
-        assert store.digest(path) == xxh3_128(b"one").hexdigest()
+    with pytest.raises(TileError, match="no longer asked for"):
+        store.digest(path, stopped)
+    assert len(asked) == 1
+    assert store.digest(path) == xxh3_128(path.read_bytes()).hexdigest()
 
 
 def test_planning_in_a_store_that_is_not_there_writes_nothing(tmp_path):

@@ -24,9 +24,10 @@ from typing import TYPE_CHECKING, Any
 from nlights_core.capture import Tile
 from nlights_core.errors import CaptureError, NlightsError, TileError
 from nlights_core.machine.band_threads import cores
+from nlights_core.machine.sources import core_digest
 from nlights_core.memory import VARIABLE, budget
 from nlights_core.recipe import Recipe, load_recipe
-from nlights_core.registry import code_digest, core_digest
+from nlights_core.registry import code_digest
 from nlights_core.store import Store
 from nlights_flows.tiles.running import Around, Outcome, run_directly
 

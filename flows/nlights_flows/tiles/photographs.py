@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import threading
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
@@ -13,9 +14,8 @@ from nlights_core.capture import Tile
 from nlights_core.errors import TileError
 from nlights_core.machine.band_threads import cores
 from nlights_core.recipe import Recipe
-from nlights_core.stages import FLATS
-from nlights_core.store import Store, promised
-from nlights_flows.tiles.mappers import Mapper
+from nlights_core.stages.inputs import FLATS
+from nlights_core.store import Store
 
 Stamp = tuple[int, int, int]
 """Size, time of change in ns, inode."""
@@ -56,7 +56,8 @@ class Photographs:
         damaged may only be half-way here.
 
         The digests are those that the stages ask for anyway, so a file is read once.  They are found
-        beside the stages, in the order in which they are asked for: a plate needs those of the flats.
+        beside the stages, in the order in which they are asked for: a plate needs those of the flats.  A stage that
+        asks for one before its turn reads that file itself.
 
         Raises
         ------
@@ -107,33 +108,25 @@ class Photographs:
 @contextmanager
 def _stamped(paths: list[Path], store: Store) -> Iterator[dict[Path, tuple[Stamp, Future[str | None]]]]:
     """Stamps of files, and their digests, which are being found until the block ends."""
-    threads = min(cores(), THREADS)
-    idle = [Mapper() for _ in range(threads)]
-    mappers = tuple(idle)
+    over = threading.Event()
 
     def digest(path: Path, stamp: Stamp) -> str | None:
-        mapper = idle.pop()  # there is one for each thread
         try:
-            found = store.digest(path, mapper.digest)
+            found = store.digest(path, over.is_set)
             return found if _stamp(path) == stamp else None
         except (OSError, TileError):  # the stage that reads it will say what is wrong
             return None
-        finally:
-            idle.append(mapper)
 
-    pool = ThreadPoolExecutor(threads, thread_name_prefix="digests")
+    pool = ThreadPoolExecutor(min(cores(), THREADS), thread_name_prefix="digests")
     stamps = {}
     try:
         for path in paths:
             with suppress(OSError):
                 stamps[path] = (stamp := _stamp(path)), pool.submit(digest, path, stamp)
-        with promised({path: found for path, (_, found) in stamps.items()}):
-            yield stamps
+        yield stamps
     finally:
-        pool.shutdown(wait=False, cancel_futures=True)
-        for mapper in mappers:
-            mapper.stop()
-        pool.shutdown()
+        over.set()
+        pool.shutdown(cancel_futures=True)
 
 
 def _stamp(path: Path) -> Stamp:

@@ -73,7 +73,7 @@ def why(work: Work, store: Store) -> str:
     return f"differs in {shown}" if shown else "damaged"
 
 
-_CAUSES = ("core", "algorithm", "inputs", "facts")
+_CAUSES = ("code", "algorithm", "inputs", "facts")
 
 
 def _differences(mine: dict[str, Any], other: dict[str, Any]) -> Iterator[str]:

@@ -318,7 +318,7 @@ def test_the_page_leads_from_nothing_to_a_compared_result_in_under_15_commands(e
     assert "kept" in said["nlights plugins check"]
     assert re.search(r"mean|median", said["nlights evaluate products/simulated-painting/r0c0"])
     record = next((tmp_path / "products").rglob("height-*/artefact.json"))
-    assert json.loads(record.read_text())["algorithm"]["origin"] == "nlights-cosine-sums 0.1.0"
+    assert json.loads(record.read_text())["origin"] == "nlights-cosine-sums 0.1.0"
     again = subprocess.run(
         ["nlights", "plugins", "new", "cosine-sums", "--kind", "integrator", "--out", "other"],
         cwd=tmp_path,

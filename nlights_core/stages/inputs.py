@@ -1,0 +1,63 @@
+"""What several stages read: photographs, as facts of a key, and lights."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from nlights_core.capture import Tile
+from nlights_core.errors import TileError
+from nlights_core.fields import LightField
+from nlights_core.machine.band_threads import in_order
+from nlights_core.photographs.headers import survey
+from nlights_core.store import ArtefactRef, Store
+
+FLATS = "_flats"
+"""Where artefacts go that belong to a flat set, not to a tile; no tile can have this name."""
+
+
+def facts_of_photographs(store: Store, tile: Tile, which: str) -> dict[str, Any]:
+    """Digests and settings of the photographs that a stage reads."""
+    paths = tile.flats if which == "flats" else tile.frames
+    if paths is None:
+        raise TileError(
+            f"{tile.artwork}/{tile.name}: flats: the recipe needs photographs of a flat white reference; add "
+            "flats to artwork.yaml, or choose another detrend.images (inverse-square)"
+        )
+    stand = tile.stand
+    digests = dict(zip(paths, in_order(store.digest, paths.values()), strict=True))
+    seen: dict[str, str] = {}
+    for lamp, digest in digests.items():
+        if digest in seen:
+            raise TileError(
+                f"{paths[lamp]}: {which}.{lamp}: is the very photograph of {seen[digest]} "
+                f"({paths[seen[digest]].name}); name the one that was taken under {lamp}"
+            )
+        seen[digest] = lamp
+    return {
+        which: digests,
+        "dark": store.digest(tile.dark) if tile.dark else None,
+        "mask": store.digest(tile.mask) if tile.mask and which == "frames" else None,
+        "encoding": tile.encoding.model_dump(mode="json"),
+        "sensor": tile.sensor.model_dump(mode="json") if tile.sensor else None,
+        "field_mm": stand.field_mm if stand else None,
+        "camera": stand.camera_position.tolist() if stand else None,
+        "pixel_size_mm": tile.pixel_size_mm,
+    }
+
+
+def size(tile: Tile) -> list[int]:
+    """Rows and columns of a tile's photographs."""
+    info = survey(tile)
+    return [info.rows, info.columns]
+
+
+def read_lights(store: Store, ref: ArtefactRef) -> LightField:
+    """Open the artefact of `lights`."""
+    return LightField.from_record(json.loads((store.path(ref) / "lights.json").read_text()))
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Write a small JSON file."""
+    path.write_text(json.dumps(value, indent=1) + "\n", encoding="utf-8")

@@ -1,0 +1,63 @@
+"""The stage that finds the lamps."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from nlights_core.algorithms import LightModel
+from nlights_core.capture import Tile
+from nlights_core.contracts import verbs
+from nlights_core.frames import Array
+from nlights_core.lamps.strengths import refined
+from nlights_core.machine.progress import Progress
+from nlights_core.photographs.images import Photograph, reduced
+from nlights_core.stages.inputs import facts_of_photographs, write_json
+from nlights_core.store import Store, Work, describe
+
+RESTS_ON = ("lamps", "photographs")
+"""Departments whose code decides the result, beside what all results rest on."""
+
+
+def lights(store: Store, tile: Tile, model: LightModel) -> Work:
+    """Where the lamps are: ``lights.json``."""
+    facts: dict[str, Any] = {
+        "lamps": tile.lamps,
+        "stand": tile.stand.model_dump(mode="json", exclude={"name", "source", "optics"})
+        if tile.stand
+        else None,
+        "spheres": [
+            {
+                "frames": {lamp: store.digest(path) for lamp, path in sphere.frames.items()},
+                "circle_px": sphere.circle_px,
+                "points_px": sphere.points_px,
+                "mask": store.digest(sphere.mask) if sphere.mask else None,
+                "outline": store.digest(sphere.outline) if sphere.outline else None,
+            }
+            for sphere in tile.spheres
+        ],
+        "given": {
+            name: store.digest(path)
+            for name in ("directions", "intensities")
+            if tile.lights and (path := getattr(tile.lights, name))
+        },
+        "names": [path.name for path in tile.frames.values()] if tile.lights else None,
+        "encoding": tile.encoding.model_dump(mode="json") if tile.spheres else None,
+    }
+    if model.refine:
+        facts |= facts_of_photographs(store, tile, "frames")
+    ref, record = describe("lights", tile.artwork, tile.name, rests_on=RESTS_ON, algorithm=model, facts=facts)
+
+    def make(folder: Path, progress: Progress) -> None:
+        with store.scratch() as scratch:
+
+            def read(path: Path, *, reduce: int = 1) -> Array:
+                with Photograph(path, tile.encoding, scratch) as photograph:
+                    return reduced(photograph, reduce, keep_saturated=True)
+
+            field = verbs.locate(model, tile, read)
+            if model.refine:
+                field = refined(tile, field, model.prior, scratch)
+        write_json(folder / "lights.json", field.record())
+
+    return Work(ref, record, make)

@@ -1,0 +1,44 @@
+"""The stage that finds height for near light in reduced photographs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from nlights_core.capture import Tile
+from nlights_core.files.arrays import write_array
+from nlights_core.machine.progress import Progress
+from nlights_core.near_light.levelling import write_level
+from nlights_core.near_light.overview import overview as find_overview
+from nlights_core.near_light.overview import reduced_room
+from nlights_core.photographs.development import darkroom
+from nlights_core.photographs.noise import read_noise
+from nlights_core.photographs.plates import read_plate
+from nlights_core.stages.inputs import facts_of_photographs, read_lights
+from nlights_core.store import ArtefactRef, Store, Work, describe
+
+RESTS_ON = ("integration", "near_light", "photographs", "solving")
+"""Departments whose code decides the result, beside what all results rest on."""
+
+
+def overview(store: Store, tile: Tile, lights: ArtefactRef, plate: ArtefactRef | None, passes: int) -> Work:
+    """Height for near light, from reduced photographs: ``height.npy`` and ``level.json``.
+
+    See `nlights_core.near_light.overview`.
+    """
+    facts = facts_of_photographs(store, tile, "frames") | {"passes": passes}
+    inputs = {"lights": lights, "plate": plate}
+    ref, record = describe("overview", tile.artwork, tile.name, rests_on=RESTS_ON, inputs=inputs, facts=facts)
+
+    def make(folder: Path, progress: Progress) -> None:
+        field, flat = read_lights(store, lights), read_plate(store.path(plate)) if plate else None
+        with store.scratch() as scratch, darkroom(tile, scratch) as room:
+            noise = read_noise(store.path(plate)) if plate else None
+            room.noise = noise or room.noise
+            small = reduced_room(room, lambda share: progress(0.7 * share))
+            grid = room.grid
+        levels = noise is not None and field.near and grid.unit == "mm"
+        height, level = find_overview(small, field, flat, passes, levels)
+        write_level(folder, level)
+        write_array(folder / "height.npy", height)
+
+    return Work(ref, record, make)

@@ -1,0 +1,77 @@
+"""The stage that says what a flat white plate reads."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from nlights_core.algorithms import ImageDetrend
+from nlights_core.capture import Tile
+from nlights_core.contracts import verbs
+from nlights_core.lamps.emission import check_flat, write_flat_check
+from nlights_core.machine.band_threads import in_order
+from nlights_core.machine.progress import Progress
+from nlights_core.photographs.block_means import block_means
+from nlights_core.photographs.development import darkroom
+from nlights_core.photographs.headers import grid_of, survey
+from nlights_core.photographs.noise import write_noise
+from nlights_core.photographs.plates import block_size, continued, vignetting, write_plate
+from nlights_core.stages.inputs import FLATS, facts_of_photographs, read_lights, size
+from nlights_core.store import ArtefactRef, Store, Work, describe
+
+RESTS_ON = ("integration", "lamps", "photographs")
+"""Departments whose code decides the result, beside what all results rest on."""
+
+ROWS = 8
+"""Of each block of a flat, that are looked at: smoothed, that leaves 0.01 % of noise."""
+
+
+def plate(store: Store, tile: Tile, detrend: ImageDetrend, lights: ArtefactRef) -> Work:
+    """What a flat white plate reads: ``plate.npy`` and where its samples are, ``plate.json``."""
+    if "flats" in detrend.needs:
+        facts = facts_of_photographs(store, tile, "flats")
+    else:
+        facts = facts_of_photographs(store, tile, "frames") | {"frames": None}
+        facts["size"] = size(tile)
+    ref, record = describe(
+        "plate",
+        tile.artwork,
+        FLATS,
+        rests_on=RESTS_ON,
+        algorithm=detrend,
+        inputs={"lights": lights},
+        facts=facts,
+    )
+
+    def make(folder: Path, progress: Progress) -> None:
+        field = read_lights(store, lights)
+        info = survey(tile)
+        grid = grid_of(tile, info)
+        block = block_size(grid)
+        x, y = grid.block_centres(block)
+        flats = None
+        if "flats" in detrend.needs:
+            with store.scratch() as scratch, darkroom(tile, scratch, flats=True) as room:
+                means = block_means(room, block, ROWS, progress)
+                flats = means.images / field.power.astype(np.float32)[:, None, None, :]
+                flats[means.saturated] = np.nan
+                write_noise(folder, room.noise)
+
+        def measured() -> None:
+            reading = verbs.plate(detrend, flats, field, x, y, info.channels)
+            found = continued(reading, x, y, block * grid.pixel_size)
+            if flats is not None and grid.camera is not None and field.near:
+                lens = vignetting(reading, field, x, y, grid.camera)
+                found = replace(found, camera=grid.camera, vignetting=lens)
+            write_plate(folder, found)
+
+        def checked() -> None:
+            if flats is not None and tile.stand is not None and field.near:
+                write_flat_check(folder, check_flat(flats, tile.stand, field.lamps, x, y))
+
+        for _ in in_order(lambda work: work(), (measured, checked)):
+            pass
+
+    return Work(ref, record, make)

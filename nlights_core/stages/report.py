@@ -1,0 +1,53 @@
+"""The stage that writes what people read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from nlights_core.capture import Tile
+from nlights_core.machine.progress import Progress
+from nlights_core.photographs.headers import grid_of, survey
+from nlights_core.report.writing import write_report
+from nlights_core.store import ArtefactRef, Store, Work, describe
+
+RESTS_ON = ("integration", "lamps", "near_light", "photographs", "products", "report", "solving")
+"""Departments whose code decides the result, beside what all results rest on."""
+
+
+def report(
+    store: Store,
+    tile: Tile,
+    recipe: dict[str, Any],
+    lights: ArtefactRef,
+    plate: ArtefactRef | None,
+    bias: ArtefactRef | None,
+    normals: ArtefactRef,
+    height: ArtefactRef,
+    trend: ArtefactRef | None,
+    maps: ArtefactRef,
+    mesh: ArtefactRef,
+) -> Work:
+    """Products for people: ``report.html``, ``quality.json``, ``provenance.json``."""
+    inputs = {
+        "lights": lights,
+        "plate": plate,
+        "bias": bias,
+        "normals": normals,
+        "height": height,
+        "trend": trend,
+        "maps": maps,
+        "mesh": mesh,
+    }
+    facts = {
+        "recipe": recipe,
+        "title": tile.title,
+        "origin_mm": tile.origin_mm,
+        "stand": tile.stand.model_dump(mode="json") if tile.stand else None,
+    }
+    ref, record = describe("report", tile.artwork, tile.name, rests_on=RESTS_ON, inputs=inputs, facts=facts)
+
+    def make(folder: Path, progress: Progress) -> None:
+        write_report(folder, store, tile, record, inputs, grid_of(tile, survey(tile)))
+
+    return Work(ref, record, make)

@@ -1,0 +1,36 @@
+"""The stage that removes a trend from the height."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from nlights_core.algorithms import HeightDetrend
+from nlights_core.capture import Tile
+from nlights_core.contracts import verbs
+from nlights_core.fields import HeightMap
+from nlights_core.files.arrays import BandWriter, read_array, write_array
+from nlights_core.machine.progress import Progress
+from nlights_core.photographs.development import bands
+from nlights_core.photographs.headers import grid_of, survey
+from nlights_core.store import ArtefactRef, Store, Work, describe
+
+RESTS_ON = ("integration", "photographs")
+"""Departments whose code decides the result, beside what all results rest on."""
+
+
+def trend(store: Store, tile: Tile, detrend: HeightDetrend, height: ArtefactRef) -> Work:
+    """Height without its trend, ``height.npy``, and what was removed, ``trend.npy``."""
+    ref, record = describe(
+        "trend", tile.artwork, tile.name, rests_on=RESTS_ON, algorithm=detrend, inputs={"height": height}
+    )
+
+    def make(folder: Path, progress: Progress) -> None:
+        grid = grid_of(tile, survey(tile))
+        before = read_array(store.path(height) / "height.npy")
+        removed = verbs.trend(detrend, HeightMap(before, grid))
+        write_array(folder / "trend.npy", removed)
+        with BandWriter(folder / "height.npy", before.shape) as file:
+            for start, stop in bands(grid, 12):
+                file.write(before[start:stop] - removed[start:stop])
+
+    return Work(ref, record, make)
