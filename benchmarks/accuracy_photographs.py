@@ -19,7 +19,7 @@ from nlights_core.manifest import load_capture
 from nlights_core.photographs.images import Photograph, grey
 from nlights_core.recipe import load_recipe
 from nlights_core.simulation.evaluation import angles_between
-from nlights_core.store import Store
+from nlights_flows.tiles.run_options import RunOptions
 from nlights_flows.tiles.running import run_directly
 
 OBJECTS = ("ball", "bear")
@@ -227,7 +227,7 @@ def _chain_error(capture: Capture, solver: str, refine: bool) -> float:
         )
         tile = load_capture(folder, root=Path(folder.anchor))[0]
         recipe = load_recipe(str(folder / "recipe.yaml"))
-        outcome = run_directly(tile, recipe, Store(folder / "store"), folder / "out", lambda *_: None)
+        outcome = run_directly(tile, recipe, RunOptions(out=folder / "out"), lambda *_: None)
         if outcome.folder is None:
             raise SystemExit(f"{tile.artwork}: {outcome.message}")
         normals = tifffile.imread(outcome.folder / "normals.tif")

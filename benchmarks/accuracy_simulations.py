@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,7 +17,7 @@ from nlights_core.manifest import load_capture
 from nlights_core.recipe import Recipe, load_recipe
 from nlights_core.simulation.captures import simulate
 from nlights_core.simulation.evaluation import evaluate
-from nlights_core.store import Store
+from nlights_flows.tiles.run_options import RunOptions
 from nlights_flows.tiles.running import run_directly
 
 
@@ -113,9 +114,9 @@ def _errors(case: Case, width: int, seed: int, first: bool) -> Iterator[tuple[st
         simulate(
             capture, load_stand(case.stand), scene=case.scene, width=width, varnish=case.varnish, seed=seed
         )
-        tile, store = load_capture(capture)[0], Store(Path(place) / "store")
+        tile, options = load_capture(capture)[0], RunOptions(store=Path(place) / "store")
         for recipe in recipes:
-            outcome = run_directly(tile, recipe, store, out / recipe.name, lambda *_: None)
+            outcome = run_directly(tile, recipe, replace(options, out=out / recipe.name), lambda *_: None)
             if outcome.folder is None:
                 raise SystemExit(f"{case.title}, recipe {recipe.name}: {outcome.message}")
             error = evaluate(outcome.folder, capture / "truth")

@@ -18,7 +18,7 @@ from nlights_core.manifest import load_capture
 from nlights_core.recipe import load_recipe
 from nlights_core.simulation.captures import simulate
 from nlights_core.simulation.evaluation import evaluate
-from nlights_core.store import Store
+from nlights_flows.tiles.run_options import RunOptions
 from nlights_flows.tiles.running import run_directly
 
 PLACE = Path(__file__).parents[1] / "docs" / "comparison"
@@ -71,7 +71,7 @@ def main() -> None:
         for name in RECIPES:
             tile = load_capture(capture)[0]
             outcome = run_directly(
-                tile, load_recipe(name), Store(place / "store"), place / name, lambda *_: None
+                tile, load_recipe(name), RunOptions(out=place / name, store=place / "store"), lambda *_: None
             )
             assert outcome.folder is not None, outcome.message
             found[name] = tifffile.imread(outcome.folder / "height.tif")

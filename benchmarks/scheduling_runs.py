@@ -9,6 +9,7 @@ import sqlite3
 import sys
 import time
 import urllib.request
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from nlights_core.recipe import load_recipe
 from nlights_core.simulation.captures import simulate
 from nlights_core.store import RECORD, Store
 from nlights_flows.tiles.chain import digitise_tile
+from nlights_flows.tiles.run_options import RunOptions
 from nlights_flows.tiles.running import run_directly
 
 WIDTH = 48
@@ -92,10 +94,9 @@ def _alike(store: Store, work: Any, model: Any) -> Any:
 def directly(folder: Path) -> dict[str, Any]:
     """Call every stage in this process."""
     started = time.monotonic()
-    recipe, store, out = load_recipe("default"), Store(folder / "out" / ".store"), folder / "out"
+    recipe, options = load_recipe("default"), RunOptions(out=folder / "out")
     outcomes = [
-        run_directly(tile, recipe, store, out, lambda *told: None)
-        for tile in load_capture(folder / "capture")
+        run_directly(tile, recipe, options, lambda *told: None) for tile in load_capture(folder / "capture")
     ]
     return _judged(outcomes, time.monotonic() - started)
 
@@ -104,11 +105,13 @@ def dask(folder: Path, address: str) -> dict[str, Any]:
     """A Dask task per tile; once before, so that the workers have imported everything."""
     from nlights_flows.tiles.dask_runner import run_everywhere
 
-    recipe, store, out = load_recipe("default"), Store(folder / "out" / ".store"), folder / "out"
+    recipe, options = load_recipe("default"), RunOptions(out=folder / "out")
     tiles = load_capture(folder / "capture")
-    run_everywhere(tiles[:4], recipe, store, out, address)
+    run_everywhere(tiles[:4], recipe, replace(options, runner="dask", address=address))
     started = time.monotonic()
-    outcomes = run_everywhere(load_capture(folder / "capture"), recipe, store, out, address)
+    outcomes = run_everywhere(
+        load_capture(folder / "capture"), recipe, replace(options, runner="dask", address=address)
+    )
     return _judged(outcomes, time.monotonic() - started)
 
 
@@ -130,12 +133,12 @@ def prefect(folder: Path, address: str | None = None) -> dict[str, Any]:
     usual = _middle(lambda: empty())
     place = {"artwork": str(folder / "capture" / "artwork.yaml"), "out": str(folder / "out")}
     where = {"runner": "dask" if address else "here", "address": address}
-    recipe, store, out = load_recipe("default"), Store(folder / "out" / ".store"), folder / "out"
+    recipe, options = load_recipe("default"), RunOptions(out=folder / "out")
     tiles = load_capture(folder / "capture")
 
     def one_directly() -> None:
         load_capture(folder / "capture")
-        run_directly(tiles[0], recipe, store, out, lambda *told: None)
+        run_directly(tiles[0], recipe, options, lambda *told: None)
 
     # The thread that tells that a flow lives waits for a whole second at its end, and hides what takes less.
     with temporary_settings({PREFECT_FLOWS_HEARTBEAT_FREQUENCY: None}):
@@ -203,7 +206,7 @@ def night(inbox: Path, out: Path, log: Path, claims: str) -> dict[str, Any]:
     if claims == "none":
         marks.Claims.take = lambda *given: True  # type: ignore[method-assign]
         marks.Claims.taken = lambda *given: False  # type: ignore[method-assign]
-    code = night_exit_code(carry_out(Order(inbox, out, settle=0), run_here))
+    code = night_exit_code(carry_out(Order(inbox, RunOptions(out=out), settle=0), run_here))
     if code:
         raise SystemExit(code)
     return {}

@@ -357,7 +357,10 @@ def sweep(folder: Path) -> None:
 
 def _flush(path: Path) -> None:
     """Bring a file or folder to the disk, so that a rename is never ahead of the content."""
-    handle = os.open(path, os.O_RDONLY)
+    windows = os.name == "nt"
+    if windows and path.is_dir():
+        return  # its folders cannot be opened
+    handle = os.open(path, os.O_RDWR if windows else os.O_RDONLY)
     try:
         os.fsync(handle)
     finally:
@@ -365,6 +368,8 @@ def _flush(path: Path) -> None:
 
 
 def _alive(process: int) -> bool:
+    if os.name == "nt":
+        return True  # there, signal 0 is Ctrl-C; a draft of the dead then stays until somebody deletes it
     try:
         os.kill(process, 0)
     except ProcessLookupError:

@@ -24,6 +24,7 @@ def test_what_is_no_size_is_refused_with_an_example(text):
 
 def test_half_of_the_machine_may_be_used_unless_said_otherwise(monkeypatch):
     monkeypatch.delenv(VARIABLE, raising=False)
+    monkeypatch.setattr("nlights_core.memory.memory_limit", lambda: None)
     with Path("/proc/meminfo").open() as file:
         kilobytes = int(file.readline().split()[1])
     assert budget() == pytest.approx(kilobytes * 1024 / 2, rel=0.01)
@@ -34,5 +35,7 @@ def test_half_of_the_machine_may_be_used_unless_said_otherwise(monkeypatch):
 def test_what_does_not_fit_is_refused_with_need_and_budget_and_remedy(monkeypatch):
     monkeypatch.setenv(VARIABLE, "2GiB")
     require(2 * GIB, "height")
-    with pytest.raises(TileError, match=r"height: needs 3\.0 GiB .*--memory allows 2\.0 GiB; allow more"):
+    with pytest.raises(
+        TileError, match=r"height: needs 3\.0 GiB .*NLIGHTS_MEMORY allows 2\.0 GiB; allow more"
+    ):
         require(3 * GIB, "height")

@@ -33,6 +33,7 @@ from nlights_flows.commands.options import (
 )
 
 if TYPE_CHECKING:
+    from nlights_flows.tiles.run_options import RunOptions
     from nlights_flows.tiles.running import Outcome
 
 INTERRUPTED = 130
@@ -162,13 +163,16 @@ def plan(
     Runs nothing.  A stage is made anew when its algorithm, an option, its code or anything
     before it differs.
     """
+    given = {**locals(), "tiles": tile}
     from nlights_flows.tiles import console, planning, preparing
+    from nlights_flows.tiles.run_options import RunOptions
 
-    chosen, tiles, kept = preparing.prepared(artwork, recipe, out, store, stand, root, tile)
+    options = RunOptions.of(given)
+    chosen, tiles = preparing.prepared(artwork, options)
     failed = 0
     for one in tiles:
         try:
-            console.show_plan(one, planning.plan(one, chosen, kept))
+            console.show_plan(one, planning.plan(one, chosen, options.artefacts))
         except NlightsError as fault:
             failed += 1
             console.complain(f"{one.name}: {fault}")
@@ -197,49 +201,48 @@ def digitise(
     confidence.tif, mesh.ply, mesh.glb, report.html and more.  What was finished before is not
     done again; a fault of one tile costs that tile only.
     """
-    from nlights_core.store import make_writable
-    from nlights_flows.tiles import console, dask_runner, environment, preparing
-    from nlights_flows.tiles.running import exit_code, run_directly
+    given = {**locals(), "tiles": tile}
+    from nlights_flows.tiles import console, environment
+    from nlights_flows.tiles.run_options import RunOptions
+    from nlights_flows.tiles.running import exit_code
 
-    dask_runner.checked(runner, address)
-    preparing.allow_memory(memory)
-    chosen, tiles, kept = preparing.prepared(artwork, recipe, out, store, stand, root, tile)
-    make_writable(out, "--out")
-    kept.prepare()
-    if prefect or environment.api_configured():
-        outcomes = _run_flow(
-            artwork=str(artwork),
-            recipe=recipe,
-            out=str(out),
-            store=str(kept.root),
-            stand=stand,
-            root=str(root) if root else None,
-            tiles=tile,
-            compression=compression.value,
-            timeout=timeout,
-            runner=runner,
-            address=address,
-        )
-    elif runner != "here":
-        outcomes = dask_runner.run_everywhere(tiles, chosen, kept, out, address, compression.value, timeout)
-    else:
-        outcomes = []
-        with console.TileProgress(chosen, tiles) as watch:
-            for one in tiles:
-                outcomes.append(run_directly(one, chosen, kept, out, watch, compression.value, timeout))
-                watch.tile_done(outcomes[-1])
+    options = RunOptions.of(given)
+    with options.in_force():
+        if prefect or environment.api_configured():
+            outcomes = _run_flow(artwork, options)
+        else:
+            outcomes = _run_here(artwork, options)
     console.show_outcomes(outcomes)
     raise typer.Exit(exit_code(outcomes))
 
 
-def _run_flow(**parameters: Any) -> list[Outcome]:
-    """Digitise as a Prefect flow."""
-    from nlights_flows.tiles import environment
+def _run_here(artwork: Path, options: RunOptions) -> list[Outcome]:
+    """Digitise without Prefect, in this process or on Dask's workers."""
+    from nlights_flows.tiles import console, dask_runner, preparing
+    from nlights_flows.tiles.running import run_directly
 
+    recipe, tiles = preparing.prepared(artwork, options)
+    preparing.make_folders(options)
+    if options.runner == "dask":
+        return dask_runner.run_everywhere(tiles, recipe, options)
+    outcomes = []
+    with console.TileProgress(recipe, tiles) as watch:
+        for tile in tiles:
+            outcomes.append(run_directly(tile, recipe, options, watch))
+            watch.tile_done(outcomes[-1])
+    return outcomes
+
+
+def _run_flow(artwork: Path, options: RunOptions) -> list[Outcome]:
+    """Digitise as a Prefect flow."""
+    from nlights_flows.tiles import environment, preparing
+
+    preparing.prepared(artwork, options)  # a misspelt recipe need not wait for Prefect
+    preparing.make_folders(options)
     environment.prepare()
     from nlights_flows.tiles.digitise import digitise as flow
 
-    state: Any = flow(**parameters, return_state=True)
+    state: Any = flow(artwork=str(artwork), **options.plain(), return_state=True)
     outcomes = state.data if isinstance(state.data, list) else state.result(raise_on_failure=False)
     if isinstance(outcomes, BaseException):
         raise outcomes

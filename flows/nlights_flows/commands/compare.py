@@ -102,23 +102,13 @@ def compare(
     variants have in common are made once.  Errors are against the truth where a capture has a
     folder `truth`; a winner is named only where the differences are more than chance.
     """
+    given = {**locals(), "tiles": tile}
     from nlights_flows.comparison.order import Order, carry_out, checked, run_directly
     from nlights_flows.tiles import environment
+    from nlights_flows.tiles.run_options import RunOptions
 
-    order = Order(
-        artworks,
-        recipes or [],
-        grid or [],
-        recipe,
-        out,
-        store,
-        stand,
-        root,
-        tile,
-        compression.value,
-        timeout,
-        memory,
-    )
+    options = RunOptions.of(given)
+    order = Order(artworks, recipes or [], grid or [], options)
     if prefect or environment.api_configured():
         checked(order)  # a misspelt recipe need not wait for Prefect
         record = _run_flow(order)
@@ -139,15 +129,7 @@ def _run_flow(order: Order) -> dict[str, Any]:
         artworks=[str(path) for path in order.artworks],
         recipes=list(order.recipes),
         grid=list(order.grid),
-        recipe=order.recipe,
-        out=str(order.out),
-        store=str(order.store) if order.store else None,
-        stand=order.stand,
-        root=str(order.root) if order.root else None,
-        tiles=order.tiles,
-        compression=order.compression,
-        timeout=order.timeout,
-        memory=order.memory,
+        **order.options.plain("runner", "address"),
         return_state=True,
     )
     record = state.data if isinstance(state.data, dict) else state.result(raise_on_failure=False)

@@ -68,23 +68,13 @@ def nightly(
     `OUT/nights/<date>/` too.  Highest priority first, then the oldest upload.  A fault costs its
     own tile or artwork; what is left is taken up by the next night.
     """
+    given = locals()
     from nlights_flows.nights.order import Order, checked
     from nlights_flows.tiles import environment
+    from nlights_flows.tiles.run_options import RunOptions
 
-    order = Order(
-        inbox,
-        out,
-        recipe,
-        store,
-        until,
-        limits,
-        settle,
-        compression.value,
-        timeout,
-        memory,
-        runner,
-        address,
-    )
+    options = RunOptions.of(given)
+    order = Order(inbox, options, until, limits, settle)
     if plan:
         _show_plan(order)
         return
@@ -95,7 +85,7 @@ def nightly(
     from nlights_flows.nights.running import carry_out, elsewhere, run_here, run_on_dask
 
     with elsewhere(order) as (order, at_once):
-        record = carry_out(order, run_on_dask if order.address else run_here, at_once)
+        record = carry_out(order, run_on_dask if order.options.address else run_here, at_once)
     _show(record.as_json(), out)
     raise typer.Exit(night_exit_code(record))
 
@@ -109,23 +99,16 @@ def _run_flow(order: Order) -> None:
 
     state: Any = flow(
         inbox=str(order.inbox),
-        out=str(order.out),
-        recipe=order.recipe,
-        store=str(order.store) if order.store else None,
         until=order.until,
         limits=order.limits,
         settle=order.settle,
-        compression=order.compression,
-        timeout=order.timeout,
-        memory=order.memory,
-        runner=order.runner,
-        address=order.address,
+        **order.options.plain("stand", "root", "tiles"),
         return_state=True,
     )
     found = state.data if isinstance(state.data, dict) else state.result(raise_on_failure=False)
     if isinstance(found, BaseException):
         raise found
-    _show(found["record"], order.out)
+    _show(found["record"], order.options.out)
     raise typer.Exit(found["exit_code"])
 
 

@@ -13,6 +13,7 @@ from nlights_flows.comparison.order import Order, carry_out
 from nlights_flows.comparison.runs import Case, Run, Workshop
 from nlights_flows.tiles.digitise import ensure_as_task
 from nlights_flows.tiles.environment import outlive_reader
+from nlights_flows.tiles.run_options import RunOptions
 
 
 @flow(name="compare", persist_result=False, validate_parameters=True)
@@ -65,24 +66,13 @@ def compare(
         Completed, or Failed when a variant failed on a tile; both carry what ``compare.json``
         holds as their data.
     """
+    options = RunOptions.of(locals())
+    order = Order([Path(path) for path in artworks], recipes or [], grid or [], options)
     outlive_reader()
-    order = Order(
-        [Path(path) for path in artworks],
-        recipes or [],
-        grid or [],
-        recipe,
-        Path(out),
-        Path(store) if store else None,
-        stand,
-        Path(root) if root else None,
-        tiles,
-        compression,
-        timeout,
-        memory,
-    )
     record = carry_out(order, run_as_tasks)
     failed = [run for run in record["runs"] if run["state"] == "failed"]
-    message = f"{len(record['runs']) - len(failed)} of {len(record['runs'])} runs done: {order.out / 'compare.html'}"
+    done = f"{len(record['runs']) - len(failed)} of {len(record['runs'])} runs done"
+    message = f"{done}: {options.out / 'compare.html'}"
     if failed:
         reasons = "".join(f"\n{run['variant']}: {run['tile']}: {run['message']}" for run in failed)
         return Failed(message=message + reasons, data=record)
@@ -92,8 +82,6 @@ def compare(
 def run_as_tasks(workshop: Workshop, recipe: Recipe, cases: Sequence[Case]) -> list[Run]:
     """Run a variant on all tiles, each stage as a task."""
     return [
-        workshop.run(
-            case, recipe, ensure_as_task(workshop.store, f"{recipe.name}: {case.name}", workshop.timeout)
-        )
+        workshop.run(case, recipe, ensure_as_task(workshop.options, f"{recipe.name}: {case.name}"))
         for case in cases
     ]

@@ -12,13 +12,14 @@ from typing import Any
 
 from nlights_core.errors import CaptureError, RecipeError
 from nlights_core.recipe import Recipe
-from nlights_core.store import Store, make_writable, write_whole
+from nlights_core.store import write_whole
 from nlights_flows.comparison.comparing import compare_runs
 from nlights_flows.comparison.page import write_page
 from nlights_flows.comparison.runs import Case, Run, Workshop, load_cases
 from nlights_flows.comparison.variants import folder_of, variants_of
 from nlights_flows.tiles import console
-from nlights_flows.tiles.preparing import allow_memory
+from nlights_flows.tiles.preparing import make_folders
+from nlights_flows.tiles.run_options import RunOptions
 from nlights_flows.tiles.running import ensure_here
 
 
@@ -29,15 +30,8 @@ class Order:
     artworks: Sequence[Path]
     recipes: Sequence[str]
     grid: Sequence[str]
-    recipe: str
-    out: Path
-    store: Path | None = None
-    stand: str | None = None
-    root: Path | None = None
-    tiles: Sequence[str] | None = None
-    compression: str = "none"
-    timeout: float | None = None
-    memory: str | None = None
+    options: RunOptions
+    """Its recipe is the one that the grid varies."""
 
 
 RunAll = Callable[[Workshop, Recipe, Sequence[Case]], list[Run]]
@@ -63,31 +57,31 @@ def carry_out(order: Order, run_all: RunAll) -> dict[str, Any]:
     RecipeError, CaptureError, StandError
         What the user has to mend; nothing was written.
     """
-    started = time.monotonic()
+    started, options = time.monotonic(), order.options
     recipes, cases = checked(order)
-    make_writable(order.out, "--out")
-    store = Store(order.store or order.out / ".store")
-    store.prepare()
-    workshop = Workshop(store, order.out, order.compression, order.timeout)
-    runs = [run for recipe in recipes for run in run_all(workshop, recipe, cases)]
-    comparison = compare_runs(recipes, cases, runs, store)
-    write_page(order.out / "compare.html", comparison)
+    with options.in_force():
+        make_folders(options)
+        workshop = Workshop(options)
+        runs = [run for recipe in recipes for run in run_all(workshop, recipe, cases)]
+        comparison = compare_runs(recipes, cases, runs, options.artefacts)
+        write_page(options.out / "compare.html", comparison)
     spent = {"stages": workshop.seconds, "all": time.monotonic() - started}
     record = {**comparison.record, "seconds": {name: round(value, 3) for name, value in spent.items()}}
-    write_whole(order.out / "compare.json", json.dumps(record, indent=1, allow_nan=False) + "\n")
+    write_whole(options.out / "compare.json", json.dumps(record, indent=1, allow_nan=False) + "\n")
     return record
 
 
 def checked(order: Order) -> tuple[list[Recipe], list[Case]]:
-    """The variants and tiles of an order; sets the memory budget, runs and writes nothing.
+    """The variants and tiles of an order; runs and writes nothing.
 
     Raises
     ------
     RecipeError, CaptureError, StandError
         What the user has to mend.
     """
-    allow_memory(order.memory)
-    recipes = variants_of(order.recipes, order.grid, order.recipe)
+    options = order.options
+    options.check()
+    recipes = variants_of(order.recipes, order.grid, options.recipe)
     folders = Counter(folder_of(recipe).casefold() for recipe in recipes)
     for recipe in recipes:
         if folders[folder_of(recipe).casefold()] > 1:
@@ -95,7 +89,7 @@ def checked(order: Order) -> tuple[list[Recipe], list[Case]]:
                 f"--recipes: '{recipe.name}' would share its folder '{folder_of(recipe)}' with another variant; "
                 "rename one of the files"
             )
-    cases = load_cases(order.artworks, stand=order.stand, root=order.root, names=order.tiles)
+    cases = load_cases(order.artworks, stand=options.stand, root=options.root, names=options.tiles)
     if all(recipe.lacking(case.tile) for recipe in recipes for case in cases):
         case, recipe = cases[0], recipes[0]
         raise CaptureError("\n".join(f"{case.name}: {said}" for said in recipe.lacking(case.tile)))
@@ -108,7 +102,7 @@ def run_directly(workshop: Workshop, recipe: Recipe, cases: Sequence[Case]) -> l
     with console.TileProgress(recipe, [case.tile for case in cases]) as watch:
         for case in cases:
             place = f"{recipe.name}: {case.name}"
-            ensure = ensure_here(workshop.store, place, watch, workshop.timeout)
+            ensure = ensure_here(workshop.options, place, watch)
             runs.append(workshop.run(case, recipe, ensure))
             watch.tile_done(runs[-1].outcome)
     return runs

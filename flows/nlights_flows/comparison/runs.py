@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ from nlights_core.store import RECORD, ArtefactRef, Store, Work
 from nlights_flows.comparison.variants import folder_of
 from nlights_flows.tiles import isolation
 from nlights_flows.tiles.preparing import require_named
+from nlights_flows.tiles.run_options import RunOptions
 from nlights_flows.tiles.running import Ensure, Outcome, attempt
 
 
@@ -123,20 +124,12 @@ class Workshop:
 
     Parameters
     ----------
-    store : Store
-        Of all artefacts; variants share what they have in common.
-    out : Path
-        Products go to ``out/<variant>/<artwork>/<tile>/``.
-    compression : str
-        Of the TIFFs among the products, "none" or "zstd".
-    timeout : float, optional
-        Seconds that a stage may take.
+    options : RunOptions
+        Products go to ``out/<variant>/<artwork>/<tile>/``; variants share what they have in common in the store.
     """
 
-    def __init__(
-        self, store: Store, out: Path, compression: str = "none", timeout: float | None = None
-    ) -> None:
-        self.store, self.out, self.compression, self.timeout = store, out, compression, timeout
+    def __init__(self, options: RunOptions) -> None:
+        self.options, self.store = options, options.artefacts
         self.seconds = 0.0
         self._peaks: dict[str, int | None] = {}
 
@@ -145,7 +138,7 @@ class Workshop:
         made: list[Made] = []
 
         def noted(stage: Callable[..., Work], tile: Tile, *arguments: Any) -> tuple[ArtefactRef, bool]:
-            here = not isolation.needs_child(arguments, self.timeout)
+            here = not isolation.needs_child(arguments, self.options.timeout)
             measured = here and _forget_peak()
             ref, there = ensure(stage, tile, *arguments)
             origin = "shared" if ref.key in self._peaks else "kept" if there else "made"
@@ -156,8 +149,8 @@ class Workshop:
             made.append(Made(ref, origin, seconds, self._peaks.get(ref.key)))
             return ref, there
 
-        out = self.out / folder_of(recipe)
-        outcome = attempt(case.tile, recipe, self.store, out, noted, self.compression)
+        own = replace(self.options, out=self.options.out / folder_of(recipe), store=self.store.root)
+        outcome = attempt(case.tile, recipe, own, noted)
         return Run(recipe.name, outcome, tuple(made))
 
 

@@ -101,14 +101,14 @@ class Planned:
 def plan_night(night: Checked) -> tuple[list[Planned], list[PassedBy], Estimate]:
     """Say what a night would do, in its order; nothing runs and nothing is written."""
     order, store = night.order, night.store
-    estimate = learnt(timed_tiles(earlier_nights(order.out), night.recipe.name))
-    found = scan(order.inbox, order.settle, (order.out, store.root))
+    estimate = learnt(timed_tiles(earlier_nights(order.options.out), night.recipe.name))
+    found = scan(order.inbox, order.settle, (order.options.out, store.root))
     planned = []
     for candidate in found.ready:
         finished, pixels, seconds = 0, 0, 0.0
         problems = []
         for tile in candidate.tiles:
-            if in_store(tile, night.recipe, store, order.compression):
+            if in_store(tile, night.recipe, store, order.options.compression):
                 finished += 1
                 seconds += UNCHANGED_SECONDS
                 continue

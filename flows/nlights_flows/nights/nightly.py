@@ -3,6 +3,7 @@
 # No `from __future__ import annotations` here: Prefect resolves the parameters' types itself.
 import html
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -16,6 +17,7 @@ from nlights_flows.nights.record import PAGE, night_exit_code
 from nlights_flows.nights.running import carry_out, elsewhere
 from nlights_flows.tiles.digitise import digitise, each_tile_through
 from nlights_flows.tiles.environment import outlive_reader
+from nlights_flows.tiles.run_options import RunOptions
 from nlights_flows.tiles.running import Around
 
 SHOWN = 20
@@ -72,48 +74,23 @@ def nightly(
         Completed, or Failed when an artwork or tile failed; both carry "record" (what ``night.json``
         holds) and "exit_code" as their data.
     """
+    order = Order(Path(inbox), RunOptions.of(locals()), until, limits, settle)
     outlive_reader()
-    order = Order(
-        Path(inbox),
-        Path(out),
-        recipe,
-        Path(store) if store else None,
-        until,
-        limits,
-        settle,
-        compression,
-        timeout,
-        memory,
-        runner,
-        address,
-    )
     with elsewhere(order) as (order, at_once):
         record = carry_out(order, run_as_subflow, at_once)
     found = record.as_json()
     create_markdown_artifact(artifact(found), key="night", description=found["verdict"])
     data = {"record": found, "exit_code": night_exit_code(record)}
-    message = f"{found['verdict']}: {order.out / PAGE}"
+    message = f"{found['verdict']}: {order.options.out / PAGE}"
     return Failed(message=message, data=data) if data["exit_code"] else Completed(message=message, data=data)
 
 
 def run_as_subflow(batch: Batch, around: Around) -> None:
     """Run an artwork's tiles as a flow run that has the artwork's inventory number as its name."""
-    order = batch.night.order
+    options = replace(batch.night.options, tiles=tuple(tile.name for tile in batch.tiles))
     named = digitise.with_options(flow_run_name=batch.artwork)
     with each_tile_through(around):
-        state: Any = named(
-            artwork=str(batch.manifest),
-            recipe=order.recipe,
-            out=str(order.out),
-            store=str(batch.night.store.root),
-            root=str(order.inbox),
-            tiles=[tile.name for tile in batch.tiles],
-            compression=order.compression,
-            timeout=order.timeout,
-            runner=order.runner,
-            address=order.address,
-            return_state=True,
-        )
+        state: Any = named(artwork=str(batch.manifest), **options.plain(), return_state=True)
     if isinstance(state.data, BaseException):  # not a tile's fault: that is among the outcomes
         raise state.data
     if not state.is_final():

@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from nlights_core.capture import Tile
 from nlights_core.errors import CaptureError
-from nlights_core.files.tiffs import Compression
 from nlights_core.recipe import Recipe, load_recipe
 from nlights_core.store import Store
 from nlights_flows.nights.estimates import Deadline
 from nlights_flows.nights.limits import Limits, load_limits
-from nlights_flows.tiles import dask_runner
-from nlights_flows.tiles.preparing import allow_memory
+from nlights_flows.tiles.run_options import RunOptions
 from nlights_flows.tiles.running import Around
-
-COMPRESSIONS = ("none", "zstd")
 
 
 @dataclass(frozen=True)
@@ -26,33 +22,21 @@ class Order:
 
     Attributes
     ----------
-    inbox, out : Path
-    recipe : str
-    store : Path or None
+    inbox : Path
+    options : RunOptions
+        How tiles are run; its capture root is the inbox.
     until : str or None
         Time of the day, HH:MM.
     limits : str
     settle : float
         Seconds.
-    compression : str
-    timeout : float or None
-        Seconds of a stage.
-    memory : str or None
-    runner, address : str
     """
 
     inbox: Path
-    out: Path
-    recipe: str = "default"
-    store: Path | None = None
+    options: RunOptions
     until: str | None = None
     limits: str = "default"
     settle: float = 300.0
-    compression: Compression = "none"
-    timeout: float | None = None
-    memory: str | None = None
-    runner: str = "here"
-    address: str | None = None
 
 
 @dataclass(frozen=True)
@@ -63,7 +47,16 @@ class Checked:
     recipe: Recipe
     limits: Limits
     deadline: Deadline
-    store: Store
+
+    @property
+    def options(self) -> RunOptions:
+        """How its tiles are run."""
+        return self.order.options
+
+    @property
+    def store(self) -> Store:
+        """Where its artefacts are."""
+        return self.options.artefacts
 
 
 @dataclass(frozen=True)
@@ -94,24 +87,19 @@ takes down what became of it; it may be called from several threads.  What is re
 
 
 def checked(order: Order) -> Checked:
-    """Read recipe, limits and time; set the memory budget.
+    """Read recipe, limits and time.
 
     Raises
     ------
     NlightsError
         Naming the option, what was found and what is allowed.
     """
-    dask_runner.checked(order.runner, order.address)
-    if order.compression not in COMPRESSIONS:
-        raise CaptureError(f"--compression: '{order.compression}'; choose one of {', '.join(COMPRESSIONS)}")
-    for option, value in (("--settle", order.settle), ("--timeout", order.timeout)):
-        if value is not None and not value >= 0:
-            raise CaptureError(f"{option}: should be a number of seconds, 0 or more; got {value}")
-    allow_memory(order.memory)
+    order.options.check()
+    if not order.settle >= 0:
+        raise CaptureError(f"--settle: should be a number of seconds, 0 or more; got {order.settle}")
     return Checked(
-        order,
-        load_recipe(order.recipe),
+        replace(order, options=replace(order.options, root=order.inbox)),
+        load_recipe(order.options.recipe),
         load_limits(order.limits),
         Deadline.of(order.until),
-        Store(order.store or order.out / ".store"),
     )

@@ -15,7 +15,6 @@ from functools import partial
 from nlights_core.capture import Tile
 from nlights_core.errors import NlightsError
 from nlights_core.products.publishing import publish
-from nlights_core.store import make_writable
 from nlights_flows.nights.checking import in_store, require_usable
 from nlights_flows.nights.claims import Claims
 from nlights_flows.nights.estimates import learnt, require_disk
@@ -36,6 +35,7 @@ from nlights_flows.nights.record import (
 from nlights_flows.nights.trends import measured, trends
 from nlights_flows.tiles import console, dask_runner
 from nlights_flows.tiles.explaining import explained
+from nlights_flows.tiles.preparing import make_folders
 from nlights_flows.tiles.running import Around, Outcome, run_directly
 
 LOOK = 2.0
@@ -75,54 +75,35 @@ def carry_out(order: Order, run_artwork: RunArtwork, at_once: int = 1) -> NightR
     """
     night = checked(order)
     require_inbox(order.inbox)
-    make_writable(order.out, "--out")
-    night.store.prepare()
-    with Claims(night.store.root) as claims:
-        return Night(night, run_artwork, claims, at_once).run()
+    with night.options.in_force():
+        make_folders(night.options)
+        with Claims(night.store.root) as claims:
+            return Night(night, run_artwork, claims, at_once).run()
 
 
 @contextmanager
 def elsewhere(order: Order) -> Iterator[tuple[Order, int]]:
     """The order with the address of the scheduler that does it, and how many artworks keep its workers busy."""
-    runner = dask_runner.checked(order.runner, order.address)
-    with dask_runner.reachable(runner, order.address) as address:
-        yield replace(order, address=address), dask_runner.workers(address) if address else 1
+    order.options.check()
+    with order.options.in_force(), dask_runner.reachable(order.options) as address:
+        there = replace(order, options=replace(order.options, address=address))
+        yield there, dask_runner.workers(address) if address else 1
 
 
 def run_on_dask(batch: Batch, around: Around) -> None:
     """Run an artwork's tiles on the workers of a Dask scheduler, without Prefect."""
-    order, night = batch.night.order, batch.night
-    assert order.address is not None
-    console.complain(f"{batch.artwork}: {len(batch.tiles)} of its tiles to run on {order.address}")
-    dask_runner.run_tiles(
-        batch.tiles,
-        night.recipe,
-        night.store,
-        order.out,
-        order.address,
-        around,
-        order.compression,
-        order.timeout,
-    )
+    night = batch.night
+    console.complain(f"{batch.artwork}: {len(batch.tiles)} of its tiles to run on {night.options.address}")
+    dask_runner.run_tiles(batch.tiles, night.recipe, night.options, around)
 
 
 def run_here(batch: Batch, around: Around) -> None:
     """Run an artwork's tiles in this process, one after the other, with progress on the console."""
     night = batch.night
-    order = night.order
     console.complain(f"{batch.artwork}: {len(batch.tiles)} of its tiles to run")
     with console.TileProgress(night.recipe, batch.tiles) as watch:
         for tile in batch.tiles:
-            run = partial(
-                run_directly,
-                tile,
-                night.recipe,
-                night.store,
-                order.out,
-                watch,
-                order.compression,
-                order.timeout,
-            )
+            run = partial(run_directly, tile, night.recipe, night.options, watch)
             outcome = around(tile, run)
             watch.tile_done(outcome or Outcome(tile.artwork, tile.name, "unchanged"))
 
@@ -143,9 +124,9 @@ class Night:
     def __init__(self, night: Checked, run_artwork: RunArtwork, claims: Claims, at_once: int = 1) -> None:
         self.night, self.run_artwork, self.claims, self.at_once = night, run_artwork, claims, at_once
         order, started = night.order, datetime.now().astimezone()
-        self.folder = new_night(order.out, started)
+        self.folder = new_night(order.options.out, started)
         self._began = self._next_page = time.monotonic()
-        self._earlier = earlier_nights(order.out, but=self.folder.name)
+        self._earlier = earlier_nights(order.options.out, but=self.folder.name)
         self._timed = timed_tiles(self._earlier, night.recipe.name)
         self._estimate = learnt(self._timed)
         self._tiles: dict[tuple[str, str], TileEntry] = {}
@@ -155,7 +136,7 @@ class Night:
             date=started.date().isoformat(),
             name=self.folder.name,
             inbox=str(order.inbox.resolve()),
-            out=str(order.out.resolve()),
+            out=str(order.options.out.resolve()),
             store=str(night.store.root.resolve()),
             recipe=night.recipe.name,
             started=started.isoformat(timespec="seconds"),
@@ -167,7 +148,7 @@ class Night:
         """Take what is ready, then what has become ready meanwhile, then what others were at."""
         order, store = self.night.order, self.night.store
         while True:
-            found = scan(order.inbox, order.settle, (order.out, store.root))
+            found = scan(order.inbox, order.settle, (order.options.out, store.root))
             seen = {candidate.folder for candidate, _ in self._running}
             new = [candidate for candidate in found.ready if candidate.folder not in seen]
             entries = [(candidate, self._enter(candidate)) for candidate in new]
@@ -231,12 +212,12 @@ class Night:
     def _already_done(self, tile: Tile) -> bool:
         """Publish a tile of which the store has everything, without running anything."""
         order, store = self.night.order, self.night.store
-        refs = in_store(tile, self.night.recipe, store, order.compression)
+        refs = in_store(tile, self.night.recipe, store, order.options.compression)
         if refs is None:
             return False
         started = time.monotonic()
         try:
-            folder = publish(store, tile, refs, order.out)
+            folder = publish(store, tile, refs, order.options.out)
         except OSError:  # somebody deletes artefacts: running the tile makes them again, or says why not
             return False
         took = time.monotonic() - started
@@ -269,7 +250,9 @@ class Night:
             return None
         try:
             pixels = round(1e6 * (one.megapixels or 0))
-            require_disk(pixels, self.night.store.root, self.night.order.out, f"{tile.artwork}/{tile.name}")
+            require_disk(
+                pixels, self.night.store.root, self.night.order.options.out, f"{tile.artwork}/{tile.name}"
+            )
         except NlightsError as fault:
             return self._take_down(Outcome(tile.artwork, tile.name, "failed", None, str(fault)))
         if not self.claims.take(tile.artwork, tile.name):
@@ -309,7 +292,7 @@ class Night:
             one.state, one.message = outcome.state, outcome.message
             one.seconds = round(outcome.seconds, 2)
             if outcome.folder is not None:
-                one.products = outcome.folder.relative_to(self.night.order.out).as_posix()
+                one.products = outcome.folder.relative_to(self.night.order.options.out).as_posix()
                 one.measured = measured(outcome.folder)
                 one.numbers, one.verdict, size = numbers_of(outcome.folder, self.night.limits)
                 one.megapixels = one.megapixels or size
@@ -353,7 +336,7 @@ class Night:
             began = time.monotonic()
             if not last and began < self._next_page:
                 return
-            record, out = self.record, self.night.order.out
+            record, out = self.record, self.night.order.options.out
             record.seconds = round(time.monotonic() - self._began, 1)
             record.estimate = asdict(self._estimate)
             record.trends = trends([record.as_json(), *self._earlier])

@@ -20,13 +20,19 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from nlights_core.memory import GIB, budget
+from nlights_core.memory import GIB, allowed, budget
 
 ROOM = 2 * GIB
 """What a child may take above the memory budget: Python, its libraries, the stacks of threads."""
 
 LAST_WORDS = 0.5
 """Seconds in which a child that is stopped writes down where it was."""
+
+ASKED: signal.Signals | None = getattr(signal, "SIGUSR1", None)
+"""By which a child is asked to write down where it is; Windows has no such signal."""
+
+KILLED = -9
+"""Exit code of a child that the system killed (SIGKILL)."""
 
 FRAME = re.compile(r'File "(?P<file>.*)", line (?P<line>\d+) in (?P<function>\S+)')
 
@@ -80,7 +86,7 @@ class Child:
         code = self._process.returncode
         if self._stopped.is_set():
             return f"was stopped after {self._timeout:g} s{place}; allow more with --timeout, {remedy}"
-        if code == -signal.SIGKILL:
+        if code == KILLED:
             return (
                 f"was killed by the system{place}, most often because the memory was full; close other "
                 f"programs, {remedy}"
@@ -90,9 +96,10 @@ class Child:
 
     def _stop(self) -> None:
         self._stopped.set()
-        _signal(self._process, signal.SIGUSR1)
-        time.sleep(LAST_WORDS)
-        _signal(self._process, signal.SIGKILL)
+        if ASKED is not None:
+            _signal(self._process, ASKED)
+            time.sleep(LAST_WORDS)
+        _kill(self._process)
 
 
 @contextlib.contextmanager
@@ -125,7 +132,7 @@ def child(
     try:
         assert process.stdin is not None
         with contextlib.suppress(BrokenPipeError):  # it may have died already
-            process.stdin.write(json.dumps({**job, "trace": str(trace), "memory": budget() + ROOM}) + "\n")
+            process.stdin.write(json.dumps({**job, "trace": str(trace), "memory": budget()}) + "\n")
             process.stdin.flush()
         yield started
     finally:
@@ -144,7 +151,7 @@ def _finish(process: subprocess.Popen[str]) -> None:
     except subprocess.TimeoutExpired:
         pass
     finally:
-        _signal(process, signal.SIGKILL)
+        _kill(process)
         process.wait()
 
 
@@ -152,6 +159,14 @@ def _signal(process: subprocess.Popen[str], number: signal.Signals) -> None:
     """Send a signal to a child and to all that it started."""
     with contextlib.suppress(ProcessLookupError, PermissionError):
         os.killpg(process.pid, number)
+
+
+def _kill(process: subprocess.Popen[str]) -> None:
+    """End a child and, where that can be told, all that it started."""
+    if hasattr(signal, "SIGKILL"):
+        _signal(process, signal.SIGKILL)
+    else:
+        process.kill()
 
 
 def answer(work: Callable[[dict[str, Any], Callable[..., None]], None]) -> None:
@@ -166,9 +181,10 @@ def answer(work: Callable[[dict[str, Any], Callable[..., None]], None]) -> None:
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)
     job = json.loads(sys.stdin.readline())
-    with Path(job["trace"]).open("w") as trace:
+    with allowed(job["memory"]), Path(job["trace"]).open("w") as trace:
         faulthandler.enable(trace)
-        faulthandler.register(signal.SIGUSR1, trace)
+        if ASKED is not None:
+            faulthandler.register(ASKED, trace)
         threading.Thread(target=_end_with_parent, daemon=True).start()
 
         def say(**words: Any) -> None:
@@ -177,7 +193,8 @@ def answer(work: Callable[[dict[str, Any], Callable[..., None]], None]) -> None:
 
         work(job, say)
         faulthandler.disable()
-        faulthandler.unregister(signal.SIGUSR1)
+        if ASKED is not None:
+            faulthandler.unregister(ASKED)
     os._exit(0)  # threads that a plugin left behind must not keep the process
 
 
@@ -188,9 +205,18 @@ def _end_with_parent() -> None:
 
 
 def limit_memory(size: int) -> None:
-    """Let an allocation fail in this process rather than exhaust the machine; ``size`` in bytes."""
+    """Let an allocation fail in this process rather than exhaust the machine.
+
+    Parameters
+    ----------
+    size : int
+        What a tile may take, bytes; `ROOM` is added.  Windows has no such limit.
+    """
+    if os.name == "nt":
+        return
     import resource
 
+    size += ROOM
     hard = resource.getrlimit(resource.RLIMIT_DATA)[1]
     limit = size if hard == resource.RLIM_INFINITY else min(size, hard)
     resource.setrlimit(resource.RLIMIT_DATA, (limit, hard))

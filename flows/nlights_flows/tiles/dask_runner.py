@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from contextvars import copy_context
+from dataclasses import replace
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,17 +26,15 @@ from nlights_core.capture import Tile
 from nlights_core.errors import CaptureError, NlightsError, TileError
 from nlights_core.machine.band_threads import cores
 from nlights_core.machine.sources import core_digest
-from nlights_core.memory import VARIABLE, budget
+from nlights_core.memory import VARIABLE, allowed, budget
 from nlights_core.recipe import Recipe, load_recipe
 from nlights_core.registry import code_digest
 from nlights_core.store import Store
+from nlights_flows.tiles.run_options import RunOptions
 from nlights_flows.tiles.running import Around, Outcome, run_directly
 
 if TYPE_CHECKING:
     from distributed import Client
-
-RUNNERS = ("here", "dask")
-"""Where tiles can be run."""
 
 ADDRESS = re.compile(r"([a-z+]+://)?[^\s/]+:\d+")
 
@@ -52,43 +51,26 @@ _one_tile = threading.Lock()
 """A tile takes all the cores and the memory of a process: a second one waits, whatever --nthreads says."""
 
 
-def checked(runner: str, address: str | None) -> str:
-    """The runner, if there is one of this name and the address is its.
-
-    Raises
-    ------
-    CaptureError
-        Naming the option, what was found and what is allowed.
-    """
-    if runner not in RUNNERS:
-        raise CaptureError(f"--runner: there is no runner '{runner}'; choose one of {', '.join(RUNNERS)}")
-    if address and runner == "here":
-        raise CaptureError("--address: is where another runner is; leave it out with --runner here")
-    return runner
-
-
 @contextmanager
-def reachable(runner: str, address: str | None) -> Iterator[str | None]:
+def reachable(options: RunOptions) -> Iterator[str | None]:
     """Address of a scheduler that has workers, for as long as the block lasts; None with the runner "here".
 
     Parameters
     ----------
-    runner : str
-        "here" or "dask".
-    address : str, optional
-        Of a running scheduler; without one, scheduler and workers are started on this machine.
+    options : RunOptions
+        Without an address, scheduler and workers are started on this machine.
 
     Raises
     ------
     NlightsError
         When Dask is not installed, or nothing answers, or there is no worker.
     """
-    if runner == "here":
+    if options.runner == "here":
         yield None
-    elif address:
-        with _client(address):
+    elif options.address:
+        with _client(options.address):
             pass
-        yield address
+        yield options.address
     else:
         with _workers_here() as started:
             yield started
@@ -168,23 +150,17 @@ def _count(client: Client) -> int:
 def run_tiles(
     tiles: Iterable[Tile],
     recipe: Recipe,
-    store: Store,
-    out: Path,
-    address: str,
+    options: RunOptions,
     around: Around,
-    compression: str = "none",
-    timeout: float | None = None,
     task: Any = None,
 ) -> list[Outcome | None]:
     """Run tiles on the workers of a scheduler, as many at once as there are workers.
 
     Parameters
     ----------
-    tiles, recipe, store, out, compression, timeout
-        As for `nlights_flows.tiles.running.run_directly`; ``store`` and ``out`` are folders that every
-        worker sees under the same path.
-    address : str
-        Of the scheduler.
+    tiles, recipe, options
+        As for `nlights_flows.tiles.running.run_directly`; store and products are in folders that every worker
+        sees under the same path, and there is an address.
     around : callable
         Told each tile right before it is sent; called from several threads.
     task : prefect.Task, optional
@@ -195,20 +171,19 @@ def run_tiles(
     list of Outcome or None
         In the order of the tiles; None for those that ``around`` declined.
     """
-    with _client(address) as client, _mark(store.root) as one, _mark(out) as other:
+    assert options.address is not None
+    store, out = options.artefacts.root, options.out
+    with _client(options.address) as client, _mark(store) as one, _mark(out) as other:
         at_once = _count(client)
-        places = _places(address, at_once)
+        places = _places(options.address, at_once)
         common = {
             "recipe": {"name": recipe.name, "text": json.dumps(recipe.record())},
             "code": _code(recipe),
-            "store": str(store.root.resolve()),
-            "out": str(out.resolve()),
+            "options": replace(options, store=store.resolve(), out=out.resolve()).plain(),
             "marks": [str(one.resolve()), str(other.resolve())],
-            "compression": compression,
-            "timeout": timeout,
         }
 
-        with _sender(client, address, task) as send, ThreadPoolExecutor(at_once) as threads:
+        with _sender(client, options.address, task) as send, ThreadPoolExecutor(at_once) as threads:
 
             def run(tile: Tile) -> Outcome | None:
                 job = {"tile": tile.model_dump(mode="json"), **common}
@@ -220,19 +195,10 @@ def run_tiles(
             return [one.result() for one in told]
 
 
-def run_everywhere(
-    tiles: Iterable[Tile],
-    recipe: Recipe,
-    store: Store,
-    out: Path,
-    address: str | None,
-    compression: str = "none",
-    timeout: float | None = None,
-) -> list[Outcome]:
+def run_everywhere(tiles: Iterable[Tile], recipe: Recipe, options: RunOptions) -> list[Outcome]:
     """Run all tiles, without Prefect; see `reachable` and `run_tiles`."""
-    with reachable("dask", address) as scheduler:
-        assert scheduler is not None
-        told = run_tiles(tiles, recipe, store, out, scheduler, lambda tile, run: run(), compression, timeout)
+    with reachable(replace(options, runner="dask")) as scheduler:
+        told = run_tiles(tiles, recipe, replace(options, address=scheduler), lambda tile, run: run())
     return [outcome for outcome in told if outcome is not None]
 
 
@@ -304,19 +270,13 @@ def run_job(job: dict[str, Any]) -> dict[str, Any]:
         tile = Tile.model_validate(job["tile"])
         try:
             _require_shared(job["marks"])
-            recipe = _recipe(job["recipe"]["name"], job["recipe"]["text"], job["store"])
+            options = RunOptions.of(job["options"])
+            recipe = _recipe(job["recipe"]["name"], job["recipe"]["text"], str(options.artefacts.root))
             _require_same_code(job["code"], recipe)
         except NlightsError as fault:
             return {"state": "failed", "folder": None, "message": str(fault), "seconds": 0.0}
-        outcome = run_directly(
-            tile,
-            recipe,
-            Store(Path(job["store"])),
-            Path(job["out"]),
-            lambda tile, stage, share: None,
-            job["compression"],
-            job["timeout"],
-        )
+        with allowed(_memory(options)):
+            outcome = run_directly(tile, recipe, options, lambda tile, stage, share: None)
     folder = str(outcome.folder) if outcome.folder else None
     return {
         "state": outcome.state,
@@ -324,6 +284,12 @@ def run_job(job: dict[str, Any]) -> dict[str, Any]:
         "message": outcome.message,
         "seconds": outcome.seconds,
     }
+
+
+def _memory(options: RunOptions) -> int | None:
+    """What a worker's tile may take: what was asked for, but no more than the worker itself was allowed."""
+    asked = options.memory_bytes()
+    return min(asked, budget()) if asked and os.environ.get(VARIABLE) else asked
 
 
 @lru_cache(maxsize=8)

@@ -6,6 +6,7 @@ import logging
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -20,10 +21,11 @@ from nlights_core import stages
 from nlights_core.capture import Tile
 from nlights_core.manifest import load_capture
 from nlights_core.recipe import Recipe, load_recipe
-from nlights_core.store import ArtefactRef, Store, make_writable
+from nlights_core.store import ArtefactRef, Store
 from nlights_flows.tiles import dask_runner, isolation
 from nlights_flows.tiles.environment import outlive_reader
-from nlights_flows.tiles.preparing import require_named
+from nlights_flows.tiles.preparing import make_folders, require_named
+from nlights_flows.tiles.run_options import RunOptions
 from nlights_flows.tiles.running import Around, Ensure, Outcome, attempt, exit_code
 
 LASTING = {errno.ENOSPC, errno.EDQUOT, errno.ENOENT, errno.EACCES, errno.EPERM, errno.EROFS}
@@ -105,6 +107,7 @@ def digitise(
     root: str | None = None,
     tiles: list[str] | None = None,
     compression: str = "none",
+    memory: str | None = None,
     timeout: float | None = None,
     runner: str = "here",
     address: str | None = None,
@@ -129,6 +132,8 @@ def digitise(
         Only these tiles.
     compression : str
         Of the TIFFs among the products, "none" or "zstd".
+    memory : str, optional
+        Memory that a tile may take, as 6GiB.
     timeout : float, optional
         Seconds that a stage may take; then it is stopped, and its tile has failed.
     runner : {"here", "dask"}
@@ -141,48 +146,40 @@ def digitise(
     State
         Completed, or Failed when a tile failed; both carry the list of outcomes as their data.
     """
+    return _digitise(Path(artwork), RunOptions.of(locals()))
+
+
+def _digitise(artwork: Path, options: RunOptions) -> State[Any]:
+    """Run the tiles of an artwork as tasks, here or on Dask's workers."""
     outlive_reader()
-    chosen = load_recipe(recipe)
-    found = load_capture(Path(artwork), stand=stand, root=Path(root) if root else None)
-    require_named(found, tiles, artwork)
-    kept = Store(Path(store) if store else Path(out) / ".store")
-    kept.prepare()
-    make_writable(Path(out), "--out")
-    wanted = [tile for tile in found if not tiles or tile.name in tiles]
-    with dask_runner.reachable(dask_runner.checked(runner, address), address) as scheduler:
-        run_all: Callable[..., Iterable[Outcome | None]]
+    recipe = load_recipe(options.recipe)
+    found = load_capture(artwork, stand=options.stand, root=options.root)
+    require_named(found, options.tiles, str(artwork))
+    with options.in_force(), dask_runner.reachable(options) as scheduler:
+        make_folders(options)
+        wanted = [tile for tile in found if not options.tiles or tile.name in options.tiles]
         if scheduler:
-            run_all = partial(dask_runner.run_tiles, address=scheduler, task=run_tile_elsewhere)
-        else:
-            run_all = _run_tiles_as_tasks
-        told = run_all(
-            wanted, chosen, kept, Path(out), around=_told_around(), compression=compression, timeout=timeout
-        )
-        return _ended(told)
+            there = replace(options, address=scheduler)
+            return _ended(dask_runner.run_tiles(wanted, recipe, there, _told_around(), run_tile_elsewhere))
+        return _ended(_run_tiles_as_tasks(wanted, recipe, options, _told_around()))
 
 
 def _run_tiles_as_tasks(
-    tiles: Iterable[Tile],
-    recipe: Recipe,
-    store: Store,
-    out: Path,
-    *,
-    around: Around,
-    compression: str,
-    timeout: float | None,
+    tiles: Iterable[Tile], recipe: Recipe, options: RunOptions, around: Around
 ) -> Iterator[Outcome | None]:
     """Run tiles one after the other, each stage as a task; None for what ``around`` declined."""
     for tile in tiles:
-        ensure = ensure_as_task(store, tile.name, timeout)
-        yield around(tile, partial(attempt, tile, recipe, store, out, ensure, compression))
+        ensure = ensure_as_task(options, tile.name)
+        yield around(tile, partial(attempt, tile, recipe, options, ensure))
 
 
-def ensure_as_task(store: Store, place: str, timeout: float | None = None) -> Ensure:
+def ensure_as_task(options: RunOptions, place: str) -> Ensure:
     """How to run stages as tasks; ``place`` begins the names of their runs."""
+    store = str(options.artefacts.root)
 
     def ensure(stage: Callable[..., Any], tile: Tile, *arguments: Any) -> tuple[ArtefactRef, bool]:
         named = run_stage.with_options(name=stage.__name__, task_run_name=f"{place} {stage.__name__}")
-        state = named(stage.__name__, str(store.root), tile, *arguments, timeout=timeout, return_state=True)
+        state = named(stage.__name__, store, tile, *arguments, timeout=options.timeout, return_state=True)
         return state.result(), state.name == "Cached"
 
     return ensure

@@ -2,42 +2,33 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from nlights_core.capture import Tile
 from nlights_core.errors import CaptureError
 from nlights_core.manifest import load_capture
-from nlights_core.memory import VARIABLE, parse_size
 from nlights_core.recipe import Recipe, load_recipe
-from nlights_core.store import Store
+from nlights_core.store import make_writable
+from nlights_flows.tiles.run_options import RunOptions
 
 
-def prepared(
-    artwork: Path,
-    recipe: str,
-    out: Path,
-    store: Path | None,
-    stand: str | None,
-    root: Path | None,
-    names: Sequence[str] | None,
-) -> tuple[Recipe, list[Tile], Store]:
-    """Read recipe, stand and manifest; the tiles are those of these names, or all.
+def prepared(artwork: Path, options: RunOptions) -> tuple[Recipe, list[Tile]]:
+    """Read recipe, stand and manifest; the tiles are those that the options name, or all.
 
     Raises
     ------
     RecipeError, CaptureError, StandError
         What the user has to mend.
     """
-    chosen = load_recipe(recipe)
-    found = load_capture(artwork, stand=stand, root=root)
-    require_named(found, names, str(artwork))
-    tiles = [tile for tile in found if not names or tile.name in names]
+    chosen = load_recipe(options.recipe)
+    found = load_capture(artwork, stand=options.stand, root=options.root)
+    require_named(found, options.tiles, str(artwork))
+    tiles = [tile for tile in found if not options.tiles or tile.name in options.tiles]
     lacking = [chosen.lacking(tile) for tile in tiles]
     if all(lacking):
         raise CaptureError("\n".join(f"{artwork}: {sentence}" for sentence in lacking[0]))
-    return chosen, tiles, Store(store or out / ".store")
+    return chosen, tiles
 
 
 def require_named(tiles: Iterable[Tile], names: Sequence[str] | None, where: str) -> None:
@@ -54,17 +45,13 @@ def require_named(tiles: Iterable[Tile], names: Sequence[str] | None, where: str
             raise CaptureError(f"--tile: {where} has no tile '{name}'; it has {', '.join(there)}")
 
 
-def allow_memory(size: str | None) -> None:
-    """Set the memory budget of this process and of those it starts; None leaves it as it is.
+def make_folders(options: RunOptions) -> None:
+    """Make the folders of the products and of the artefacts, or say why they cannot be written.
 
     Raises
     ------
     CaptureError
-        When it is no size.
+        Naming the folder, the reason and the option that chooses another.
     """
-    if size is None:
-        return
-    try:
-        os.environ[VARIABLE] = str(parse_size(size))
-    except ValueError as fault:
-        raise CaptureError(f"--memory: {fault}") from None
+    make_writable(options.out, "--out")
+    options.artefacts.prepare()

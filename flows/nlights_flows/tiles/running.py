@@ -14,11 +14,12 @@ from nlights_core.memory import ANY_TILE, require
 from nlights_core.photographs.headers import survey
 from nlights_core.products.publishing import publish
 from nlights_core.recipe import Recipe
-from nlights_core.store import ArtefactRef, Store, Work
+from nlights_core.store import ArtefactRef, Work
 from nlights_flows.tiles import isolation
 from nlights_flows.tiles.chain import digitise_tile
 from nlights_flows.tiles.explaining import explained
 from nlights_flows.tiles.photographs import Photographs
+from nlights_flows.tiles.run_options import RunOptions
 
 
 @dataclass(frozen=True)
@@ -65,28 +66,17 @@ def exit_code(outcomes: Iterable[Outcome]) -> int:
     return 2 if all(states) else 1
 
 
-def run_tile(
-    tile: Tile,
-    recipe: Recipe,
-    store: Store,
-    out: Path,
-    call: Callable[..., Any],
-    compression: str = "none",
-) -> Path:
+def run_tile(tile: Tile, recipe: Recipe, options: RunOptions, call: Callable[..., Any]) -> Path:
     """Run the chain for a tile and publish its products.
 
     Parameters
     ----------
     tile, recipe : Tile, Recipe
         What, and with which algorithms.
-    store : Store
-        Where artefacts are.
-    out : Path
-        Where products go.
+    options : RunOptions
+        Where artefacts are and products go, and how the products are compressed.
     call : callable
         How to call a stage.
-    compression : str
-        Of the TIFFs among the products, "none" or "zstd".
 
     Returns
     -------
@@ -96,9 +86,10 @@ def run_tile(
     if lacking := recipe.lacking(tile):
         raise TileError("; ".join(lacking))
     require_memory(tile, recipe)
+    store = options.artefacts
     with Photographs.watched(tile, recipe, store):
-        refs = digitise_tile(tile, recipe, call, compression)
-    return publish(store, tile, refs, out)
+        refs = digitise_tile(tile, recipe, call, options.compression)
+    return publish(store, tile, refs, options.out)
 
 
 def require_memory(tile: Tile, recipe: Recipe) -> None:
@@ -119,28 +110,21 @@ def require_memory(tile: Tile, recipe: Recipe) -> None:
     require(need, f"{tile.artwork}/{tile.name}: integrator: {recipe.integrator.name}")
 
 
-def run_directly(
-    tile: Tile,
-    recipe: Recipe,
-    store: Store,
-    out: Path,
-    watch: Watch,
-    compression: str = "none",
-    timeout: float | None = None,
-) -> Outcome:
+def run_directly(tile: Tile, recipe: Recipe, options: RunOptions, watch: Watch) -> Outcome:
     """Run a tile by calling its stages; never raises for what concerns the tile only.
 
-    For ``timeout`` and child processes see `ensure_here`.
+    For child processes see `ensure_here`.
     """
-    return attempt(tile, recipe, store, out, ensure_here(store, tile.name, watch, timeout), compression)
+    return attempt(tile, recipe, options, ensure_here(options, tile.name, watch))
 
 
-def ensure_here(store: Store, place: str, watch: Watch, timeout: float | None = None) -> Ensure:
+def ensure_here(options: RunOptions, place: str, watch: Watch) -> Ensure:
     """How to run stages by calling them.
 
-    They run in this process, or each in a child where there is a time-out (seconds) or a plugin of
-    somebody else's: see `nlights_flows.tiles.isolation`.  ``place`` is what ``watch`` is told as the tile.
+    They run in this process, or each in a child where there is a time-out or a plugin of somebody
+    else's: see `nlights_flows.tiles.isolation`.  ``place`` is what ``watch`` is told as the tile.
     """
+    store = options.artefacts
 
     def ensure(stage: Callable[..., Work], tile: Tile, *arguments: Any) -> tuple[ArtefactRef, bool]:
         name = stage.__name__
@@ -151,16 +135,14 @@ def ensure_here(store: Store, place: str, watch: Watch, timeout: float | None = 
             # 0 and 1 are said here alone: a stage begins once and ends once.
             watch(place, name, min(max(share, 0.01), 0.99))
 
-        there = isolation.ensure(store, work, tile, arguments, told, timeout)
+        there = isolation.ensure(store, work, tile, arguments, told, options.timeout)
         watch(place, name, 1.0)
         return work.ref, there
 
     return ensure
 
 
-def attempt(
-    tile: Tile, recipe: Recipe, store: Store, out: Path, ensure: Ensure, compression: str = "none"
-) -> Outcome:
+def attempt(tile: Tile, recipe: Recipe, options: RunOptions, ensure: Ensure) -> Outcome:
     """Run a tile, however its stages are run; never raises for what concerns the tile only."""
     started = time.monotonic()
     made: list[str] = []
@@ -174,8 +156,8 @@ def attempt(
     folder, message = None, ""
     state: Literal["done", "unchanged", "failed"] = "failed"
     try:
-        folder = run_tile(tile, recipe, store, out, call, compression)
+        folder = run_tile(tile, recipe, options, call)
         state = "done" if made else "unchanged"
     except (Exception, SystemExit) as fault:  # a plugin may even call sys.exit
-        message = explained(fault, store)
+        message = explained(fault, options.artefacts)
     return Outcome(tile.artwork, tile.name, state, folder, message, time.monotonic() - started)

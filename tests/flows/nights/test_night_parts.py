@@ -23,6 +23,7 @@ from nlights_flows.nights.page import moved
 from nlights_flows.nights.trends import control_limits, trends
 from nlights_flows.tiles import environment, running
 from nlights_flows.tiles.photographs import Photographs
+from nlights_flows.tiles.run_options import RunOptions
 
 MANIFEST = 'artwork: {id: %s}\nstand: horizontal\nframes: "light_{n}.tif"\n'
 
@@ -157,8 +158,9 @@ def test_a_limit_is_of_what_is_too_large_or_of_what_is_too_small():
     ],
 )
 def test_a_wrong_order_is_refused_by_its_option(tmp_path, words, told):
+    own = {name: value for name, value in words.items() if name in ("until", "limits", "settle")}
     with pytest.raises(Exception, match=told):
-        checked(Order(tmp_path, tmp_path, **words))
+        checked(Order(tmp_path, RunOptions.of({"out": tmp_path, **words}), **own))
 
 
 def test_seconds_per_tile_are_learnt_from_tiles():
@@ -216,6 +218,7 @@ def test_control_limits_are_three_standard_deviations_whatever_a_few_outliers_do
 
 def test_a_photograph_that_is_replaced_while_its_tile_runs_fails_the_tile(capture, tmp_path, monkeypatch):
     (tile,), recipe, store = load_capture(capture), load_recipe("default"), Store(tmp_path / "store")
+    options = RunOptions(out=tmp_path / "out", store=tmp_path / "store")
     store.prepare()
     made = store.root / tile.artwork / tile.name / "normals-000000000000"
 
@@ -225,7 +228,7 @@ def test_a_photograph_that_is_replaced_while_its_tile_runs_fails_the_tile(captur
 
     monkeypatch.setattr(running, "digitise_tile", replaced)
     with pytest.raises(TileError, match=r"changed while it ran \(light_1\.tif\)"):
-        running.run_tile(tile, recipe, store, tmp_path / "out", lambda: None)
+        running.run_tile(tile, recipe, options, lambda: None)
     assert not made.exists()  # nobody knows what it was made of
     assert not (tmp_path / "out").exists()
 

@@ -17,6 +17,7 @@ from nlights_core.recipe import load_recipe
 from nlights_core.simulation.captures import simulate
 from nlights_core.store import Store
 from nlights_flows.tiles import isolation
+from nlights_flows.tiles.run_options import RunOptions
 
 NLIGHTS = Path(sys.executable).parent / "nlights"
 
@@ -134,8 +135,8 @@ def test_every_stage_can_run_in_a_child(plane, tmp_path):
 
     outcomes = {}
     for name, timeout in (("child", 600.0), ("here", None)):
-        store = Store(tmp_path / name / ".store")
-        outcomes[name] = run_directly(tile, recipe, store, tmp_path / name, watch, timeout=timeout)
+        options = RunOptions(out=tmp_path / name, timeout=timeout)
+        outcomes[name] = run_directly(tile, recipe, options, watch)
         assert outcomes[name].state == "done", outcomes[name].message
     files = {
         name: {

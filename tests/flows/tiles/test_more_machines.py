@@ -20,6 +20,7 @@ from nlights_core.recipe import load_recipe
 from nlights_core.simulation.captures import simulate
 from nlights_core.store import Store
 from nlights_flows.tiles import dask_runner
+from nlights_flows.tiles.run_options import RunOptions
 from nlights_flows.tiles.running import run_directly
 
 BIN = Path(sys.executable).parent
@@ -42,9 +43,9 @@ def three_tiles(tmp_path_factory) -> Path:
 def done_here(three_tiles, tmp_path_factory) -> dict[str, str]:
     """What this process makes of them."""
     out = tmp_path_factory.mktemp("here")
-    recipe, store = load_recipe("default"), Store(out / ".store")
+    recipe, options = load_recipe("default"), RunOptions(out=out)
     for tile in load_capture(three_tiles):
-        outcome = run_directly(tile, recipe, store, out, lambda *told: None)
+        outcome = run_directly(tile, recipe, options, lambda *told: None)
         assert outcome.state == "done", outcome.message
     return digests(out)
 
@@ -123,9 +124,9 @@ def test_an_address_where_no_scheduler_is_gives_a_sentence_that_names_the_option
 
 def test_a_runner_that_there_is_not_and_an_address_without_a_runner_are_refused():
     with pytest.raises(CaptureError, match=r"--runner: there is no runner 'dusk'; choose one of here, dask"):
-        dask_runner.checked("dusk", None)
+        RunOptions(runner="dusk").check()
     with pytest.raises(CaptureError, match=r"--address.*--runner here"):
-        dask_runner.checked("here", "tcp://10.0.0.5:8786")
+        RunOptions(address="tcp://10.0.0.5:8786").check()
 
 
 def test_a_worker_refuses_another_nlights_and_a_folder_of_its_own(three_tiles, tmp_path, monkeypatch):

@@ -9,7 +9,7 @@ import tifffile
 
 from nlights_core.manifest import load_capture
 from nlights_core.recipe import load_recipe
-from nlights_core.store import Store
+from nlights_flows.tiles.run_options import RunOptions
 from nlights_flows.tiles.running import run_directly
 
 DATA = Path(__file__).parents[4] / "shared" / "data"
@@ -34,7 +34,7 @@ def digitise(folder: Path, manifest: str, recipe: str) -> Path:
     (folder / "recipe.yaml").write_text(recipe)
     tile = load_capture(folder, root=Path(folder.anchor))[0]
     chosen = load_recipe(str(folder / "recipe.yaml"))
-    outcome = run_directly(tile, chosen, Store(folder / "store"), folder / "out", lambda *_: None)
+    outcome = run_directly(tile, chosen, RunOptions(out=folder / "out"), lambda *_: None)
     assert outcome.state == "done", outcome.message
     assert outcome.folder is not None
     return outcome.folder

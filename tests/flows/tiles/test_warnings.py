@@ -10,8 +10,8 @@ from nlights_core.manifest import load_capture
 from nlights_core.recipe import load_recipe
 from nlights_core.simulation.captures import simulate
 from nlights_core.simulation.evaluation import evaluate
-from nlights_core.store import Store
 from nlights_flows.tiles.console import warnings_of
+from nlights_flows.tiles.run_options import RunOptions
 from nlights_flows.tiles.running import Outcome, run_directly
 
 
@@ -25,7 +25,7 @@ def drawing(tmp_path_factory) -> Path:
 
 def digitised(capture: Path, stand: str, recipe: str, place: Path) -> Outcome:
     tile = load_capture(capture, stand=stand)[0]
-    outcome = run_directly(tile, load_recipe(recipe), Store(place / "store"), place / "out", lambda *_: None)
+    outcome = run_directly(tile, load_recipe(recipe), RunOptions(out=place / "out"), lambda *_: None)
     assert outcome.state == "done", outcome.message
     return outcome
 
