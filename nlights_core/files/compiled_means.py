@@ -9,10 +9,10 @@ from __future__ import annotations
 import numpy as np
 
 from nlights_core.frames import Array
-from nlights_core.machine.compiling import compiled
+from nlights_core.machine.compiling import kernel
 
 
-@compiled
+@kernel
 def block_means(array: Array, factor: int, out: Array) -> None:
     """Means of what is known in blocks of pixels (n * factor, W, C), NaN where under half of a block is."""
     rows, width, channels = out.shape
@@ -37,7 +37,7 @@ def block_means(array: Array, factor: int, out: Array) -> None:
                 out[k, m, channel] = mean / count if 2 * count >= factor * factor else np.nan
 
 
-@compiled
+@kernel
 def line_means(
     numbers: Array, scale: float, level: float, largest: float, means: Array, saturated: Array
 ) -> None:

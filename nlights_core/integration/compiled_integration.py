@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from nlights_core.frames import Array
-from nlights_core.machine.compiling import compiled
+from nlights_core.machine.compiling import inner, kernel
 
 Float = np.float32
 """Single precision: constants of double precision would make it that."""
@@ -25,7 +25,7 @@ _ROWS = 2 * HALO + 1
 """Rows of slopes that are kept: as many as the steps above and below one row depend on."""
 
 
-@compiled
+@inner
 def _slopes(
     normals: Array,
     x: Array,
@@ -66,7 +66,7 @@ def _slopes(
     return unknown
 
 
-@compiled
+@inner
 def _step(a: Float, b: Float, c: Float, d: Float, e: Float, f: Float, six: bool) -> Float:
     """The step from c to d by the formulas of `nlights_core.integration.poisson.height_steps`; 0 if unknown."""
     step = np.float32(0.5) * (c + d)
@@ -85,7 +85,7 @@ def _step(a: Float, b: Float, c: Float, d: Float, e: Float, f: Float, six: bool)
     return step
 
 
-@compiled
+@inner
 def _steps(
     a: Array, b: Array, c: Array, d: Array, e: Array, f: Array, known: bool, six: bool, out: Array
 ) -> None:
@@ -99,7 +99,7 @@ def _steps(
             out[j] = _step(a[j], b[j], c[j], d[j], e[j], f[j], six)
 
 
-@compiled
+@inner
 def _steps_along(slope: Array, known: bool, six: bool, out: Array) -> None:
     """Steps along a row whose slopes have margins of NaN, `HALO` wide."""
     n = out.size
@@ -119,7 +119,7 @@ def _steps_along(slope: Array, known: bool, six: bool, out: Array) -> None:
         )
 
 
-@compiled
+@kernel
 def divergence(
     normals: Array,
     first: int,
@@ -174,7 +174,7 @@ def divergence(
     return unknown
 
 
-@compiled
+@kernel
 def solve_strip(spectrum: Array, eigenvalues: Array, first: int) -> None:
     """Solve, for `STRIP` waves along the rows, what is left of the Poisson equation down the columns.
 
@@ -215,7 +215,7 @@ def solve_strip(spectrum: Array, eigenvalues: Array, first: int) -> None:
             line[k] = found[k]
 
 
-@compiled
+@inner
 def _excess(height: Array, across: Array, down: Array, i: int, step: Array, line: Array) -> None:
     """Row i of `nlights_core.integration.multigrid.weighted_laplacian`; ``step`` (W + 1,) begins and ends with 0."""
     rows, columns = height.shape
@@ -235,7 +235,7 @@ def _excess(height: Array, across: Array, down: Array, i: int, step: Array, line
             line[j] -= (other[j] - own[j]) * weight[j]
 
 
-@compiled
+@kernel
 def left_over(
     residual: Array, length: float, height: Array, across: Array, down: Array, first: int, out: Array
 ) -> None:
@@ -248,7 +248,7 @@ def left_over(
             out[i, j] = residual[i, j] - length * line[j]
 
 
-@compiled
+@kernel
 def overlap(other: Array, height: Array, across: Array, down: Array, first: int, last: int) -> float:
     """Sum of ``other`` times the weighted Laplacian of a height, over rows ``first`` to ``last``."""
     columns = height.shape[1]

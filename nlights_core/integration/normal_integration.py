@@ -9,7 +9,7 @@ from nlights_core.integration.masked_integration import solve_masked
 from nlights_core.integration.poisson import BAND, Stencil, add_divergence, bands, mean_steps, solve_poisson
 from nlights_core.integration.sight_lines import ALL, facing_rays, ray_slopes, seen_gradient, seen_surface
 from nlights_core.machine.band_threads import in_order
-from nlights_core.machine.kernel_switch import available
+from nlights_core.machine.kernel_switch import available, read_only
 from nlights_core.memory import require
 
 HALO = 3
@@ -112,7 +112,7 @@ def _divergence(
     limit = np.float32(1 / np.tan(np.radians(steepest_deg)) ** 2)
     size, plane = np.float32(grid.pixel_size), np.array(tilt, np.float32)
     # A memory map is none to Numba, but its plain view is.
-    field = np.asarray(normals, np.float32)
+    field = read_only(np.asarray(normals, np.float32))
 
     def by_loops(lines: slice) -> int:
         return compiled_integration.divergence(

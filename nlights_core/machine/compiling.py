@@ -1,4 +1,8 @@
-"""How loops over pixels are compiled, for numba.
+"""How loops over pixels are compiled, by numba, when they are first called.
+
+Compiled for ``x86-64-v3`` (processors with AVX2, since 2013) they run as fast as when they are compiled for the
+very processor, give the same bits, and can be prepared on one machine for another.  Older and other processors
+get what numba makes for them.  Where compiled loops are kept: `nlights_core.machine.kernel_cache`.
 
 Import this module only from compiled ones: it needs numba, which takes half a second.
 """
@@ -6,27 +10,136 @@ Import this module only from compiled ones: it needs numba, which takes half a s
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numba
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile, _CacheLocator
 from numba.core.codegen import get_host_cpu_features
+
+from nlights_core.machine import compilation
+from nlights_core.machine.kernel_cache import folders, place_of, writable_folder
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
+TARGET = "x86-64-v3"
+NEEDED = (
+    "avx",
+    "avx2",
+    "bmi",
+    "bmi2",
+    "f16c",
+    "fma",
+    "lzcnt",
+    "movbe",
+    "xsave",
+    "popcnt",
+    "sse4.2",
+    "ssse3",
+    "cx16",
+)
+"""What a processor must know to run code that was made for `TARGET`."""
+
+_njit: Any = numba.njit
+_file_of_index: Any = IndexDataCacheFile
 _settings: Any = numba.config
 _host: str = get_host_cpu_features()  # type: ignore[no-untyped-call]
-# The compiler uses half the width of AVX-512, for the sake of the first processors that had it: they slowed
-# down.  Those that know its byte permutations too are younger, and gain a sixth.  The results are the same.
-if _settings.CPU_FEATURES is None and "+avx512vbmi," in _host:
-    _settings.CPU_FEATURES = f"{_host},-prefer-256-bit"
+_chosen = _settings.CPU_NAME is not None or _settings.CPU_FEATURES is not None
+# An older processor would die of an illegal instruction, so it is asked first.
+if not _chosen and set(NEEDED) <= {word[1:] for word in _host.split(",") if word.startswith("+")}:
+    _settings.CPU_NAME, _settings.CPU_FEATURES = TARGET, ""
 
 
-def compiling(**options: Any) -> Callable[[Function], Function]:
-    """A decorator that compiles a function when it is first called, and keeps it on disk for the next process."""
-    decorator: Callable[[Function], Function] = numba.njit(
-        cache=True, nogil=True, error_model="numpy", **options
-    )
-    return decorator
+class _Place(_CacheLocator):
+    """Where numba looks for a function, and by what it knows that it is fresh: by the folder's name alone."""
+
+    def __init__(self, function: Any) -> None:
+        self.name = place_of(function.__module__)
+
+    def get_cache_path(self) -> str:
+        return self.name
+
+    def get_source_stamp(self) -> str:
+        return self.name
+
+    def get_disambiguator(self) -> str:
+        return ""
+
+    @classmethod
+    def from_function(cls, function: Any, file: str) -> _Place:
+        return cls(function)
 
 
-compiled = compiling()
+class _Impl(CompileResultCacheImpl):
+    _locator_classes = [_Place]  # type: ignore[list-item] # noqa: RUF012
+
+
+class _KernelCache(FunctionCache):
+    """Looks for a function in all folders, and writes to one."""
+
+    _impl_class = _Impl
+
+    def _files(self) -> list[Any]:
+        return [self._file(folder) for folder in folders()]
+
+    def _file(self, folder: Path) -> Any:
+        name = self._impl.locator.name
+        return _file_of_index(str(folder / name), self._impl.filename_base, name)
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        target_context.refresh()
+        key = self._index_key(sig, target_context.codegen())
+        for file in self._files():
+            try:
+                data = file.load(key)
+                if data is not None:
+                    return self._impl.rebuild(target_context, data)
+            except Exception:  # half a file, or another user's: it is compiled anew
+                continue
+        compilation.begin(self._py_func.__name__)
+        return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        folder = writable_folder()
+        if folder is None or not self._impl.check_cachable(data):
+            return
+        try:
+            file = self._file(folder)
+            (folder / self._impl.locator.name).mkdir(exist_ok=True, mode=0o755)
+            file.save(self._index_key(sig, data.codegen), self._impl.reduce(data))
+        except OSError:
+            compilation.not_kept(folder)
+
+    def _index_key(self, sig: Any, codegen: Any) -> Any:
+        # The folder's name is a digest of all sources: numba's digest of the function's own code adds nothing,
+        # and cannot be made of one that holds another compiled function.
+        return sig, codegen.magic_tuple()
+
+
+def decorators(**options: Any) -> tuple[Callable[[Function], Function], Callable[[Function], Function]]:
+    """Make two decorators: for loops that Python calls, and for those that only other loops call.
+
+    The former are kept on disk for the next process.  The latter are part of them, and are not kept by
+    themselves; without a way in from Python they take a quarter less time to compile.
+
+    Parameters
+    ----------
+    **options
+        Of `numba.njit`, beside those that all loops have.
+
+    Returns
+    -------
+    kernel, inner : callable
+    """
+    common = {"nogil": True, "error_model": "numpy", **options}
+
+    def kernel(function: Function) -> Function:
+        made: Any = _njit(**common)(function)
+        made._cache = _KernelCache(function)  # type: ignore[no-untyped-call]
+        return made  # type: ignore[no-any-return]
+
+    inner: Any = _njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, **common)
+    return kernel, inner
+
+
+kernel, inner = decorators()

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 
 CORE = Path(__file__).parents[1]
 """The folder of the core."""
+
+_IMPORT = re.compile(r"^\s*from (nlights_core[\w.]*) import (\([^)]*\)|[^\n]*)", re.MULTILINE)
 
 EVERYTHING_RESTS_ON = (
     "algorithms",
@@ -63,6 +66,32 @@ def _digest_of_place(place: str, core: Path) -> str:
     path = core.joinpath(*place.split("."))
     module = path.with_suffix(".py")
     return digest_of_files([module] if module.is_file() else files_below(path), core)
+
+
+def reached_files(modules: Iterable[str]) -> list[Path]:
+    """Find the files of modules of the core and of all that they import from it, in any depth.
+
+    Parameters
+    ----------
+    modules : iterable of str
+        As ``"nlights_core.solving.compiled_fits"``.
+
+    Returns
+    -------
+    list of Path
+        Imports within functions and for types only are followed too.
+    """
+    found: dict[str, Path] = {}
+    waiting = list(modules)
+    while waiting:
+        name = waiting.pop()
+        path = CORE.joinpath(*name.split(".")[1:]).with_suffix(".py")
+        if name in found or not path.is_file():
+            continue
+        found[name] = path
+        for module, names in _IMPORT.findall(path.read_text(encoding="utf-8")):
+            waiting += [module, *(f"{module}.{word}" for word in re.findall(r"\w+", names))]
+    return sorted(found.values())
 
 
 def files_below(folder: Path) -> list[Path]:

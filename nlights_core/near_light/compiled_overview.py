@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 
 from nlights_core.frames import Array
-from nlights_core.machine.compiling import compiled
+from nlights_core.machine.compiling import inner, kernel
 
 NORMAL = 9
 """Numbers of a pixel's solution: scaled normal, upper triangle of the inverse normal matrix."""
 
 
-@compiled
+@inner
 def _smallest_and_largest(m: Any, trace: float) -> tuple[float, float]:
     """Eigenvalues of a symmetric 3 x 3 matrix, as `least_squares.eigenvalues` finds them."""
     mean = trace / 3
@@ -30,7 +30,7 @@ def _smallest_and_largest(m: Any, trace: float) -> tuple[float, float]:
     return mean + 2 * spread * math.cos(angle + 2 * math.pi / 3), mean + 2 * spread * math.cos(angle)
 
 
-@compiled
+@kernel
 def solve(
     images: Array, lights: Array, weights: Array, condition: float, solution: Array, surprise: Array
 ) -> None:
@@ -99,7 +99,7 @@ def solve(
                 surprise[i, p] = np.nan
 
 
-@compiled
+@inner
 def _times(m: Any, x: float, y: float, z: float) -> tuple[float, float, float]:
     """A symmetric matrix, its upper triangle given, times a vector."""
     return (
@@ -109,7 +109,7 @@ def _times(m: Any, x: float, y: float, z: float) -> tuple[float, float, float]:
     )
 
 
-@compiled
+@kernel
 def changes(
     images: Array, lights: Array, above: Array, lights_above: Array, solution: Array, step: float, out: Array
 ) -> None:
@@ -138,7 +138,7 @@ def changes(
             out[i, p] = (shown * brighter - then) / step
 
 
-@compiled
+@kernel
 def sums(
     images: Array,
     lights: Array,

@@ -11,16 +11,10 @@ Import this module only from compiled ones: it needs numba.
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
-
-import numba
 import numpy as np
 
 from nlights_core.frames import Array
-from nlights_core.machine.compiling import compiling
+from nlights_core.machine.compiling import decorators
 
 BLOCK = 128
 """Pixels of a block."""
@@ -33,40 +27,14 @@ TINY = np.float32(np.finfo(np.float32).tiny)
 ZERO, ONE = np.float32(0), np.float32(1)
 
 
-def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile a function when it is first called; kept on disk for the next process.
-
-    A product and a sum may be rounded once instead of twice (`contract`); nothing else that changes
-    a result is allowed, least of all a guess about NaN.  What is compiled makes no arrays, and so
-    needs not count who uses them (`_nrt`): that counting took half of the time.
-    """
-    # numba goes by the date of a function's own file, but what is compiled holds code and constants
-    # of others too.  Where the folder cannot be written, numba takes the user's cache.
-    settings: Any = numba.config
-    chosen = settings.CACHE_DIR
-    settings.CACHE_DIR = str(Path(chosen or Path(__file__).parent / "__pycache__") / f"kernels-{_SOURCES}")
-    try:
-        made: Callable[..., Any] = compiling(fastmath={"contract"}, _nrt=False)(function)
-    finally:
-        settings.CACHE_DIR = chosen
-    return made
+# A product and a sum may be rounded once instead of twice (`contract`); nothing else that changes a result is
+# allowed, least of all a guess about NaN.  What is compiled makes no arrays, and so needs not count who uses them
+# (`_nrt`): that counting took half of the time.
+kernel, inner = decorators(fastmath={"contract"}, _nrt=False)
+"""Decorators of loops over blocks."""
 
 
-def _digest() -> str:
-    """Of all that compiled code is made from."""
-    core = Path(__file__).parents[1]
-    files = [
-        core / "algorithms.py",
-        *sorted((core / "photographs").glob("*.py")),
-        *sorted((core / "solving").glob("*.py")),
-    ]
-    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:12]
-
-
-_SOURCES = _digest()
-
-
-@compiled
+@inner
 def copy(source: Array, target: Array) -> None:
     """Copy one row of numbers to another; an assignment of slices would make an array in between."""
     for p in range(len(target)):

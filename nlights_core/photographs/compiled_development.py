@@ -25,8 +25,9 @@ from nlights_core.photographs.blocks import (
     X,
     Y,
     Z,
-    compiled,
     copy,
+    inner,
+    kernel,
 )
 from nlights_core.photographs.strips import Blocks, Optics, Strip
 
@@ -56,7 +57,7 @@ _E1, _E2, _E3, _E4, _E5, _E6 = (np.float32(term) for term in (
 """Terms of the series of 2^r, ln(2)^n / n!; up to |r| = 1/2 the next one is below 1e-7."""
 
 
-@compiled
+@kernel
 def develop(
     strip: Strip, optics: Optics, first: int, shadow: np.float32, lit: np.float32, blocks: Blocks
 ) -> None:
@@ -120,7 +121,7 @@ def develop(
         _weigh(blocks.samples[block], optics.limits[1], counts, shadow, lit, of)
 
 
-@compiled
+@kernel
 def cells(values: Array, columns: int, found: Array) -> None:
     """What `Optics.plate` is.
 
@@ -147,7 +148,7 @@ def cells(values: Array, columns: int, found: Array) -> None:
                 found[i, at, 4 * c + 3] = value[at + columns + 1, k] - down - (right - first)
 
 
-@compiled
+@inner
 def _stand(strip: Strip, optics: Optics, row: int, column: int, size: int, of: Array) -> None:
     """Where the pixels of a block are on the surface, and whether inside the mask."""
     y = strip.y[row]
@@ -176,7 +177,7 @@ def _stand(strip: Strip, optics: Optics, row: int, column: int, size: int, of: A
             of[_Y + p] += (optics.camera[1] - of[_Y + p]) * shift
 
 
-@compiled
+@inner
 def _read(
     numbers: Array,
     size: int,
@@ -221,7 +222,7 @@ def _read(
     sample[USABLE + size : USABLE + BLOCK] = ZERO
 
 
-@compiled
+@inner
 def _meet(
     position: Array,
     near: np.float32,
@@ -256,7 +257,7 @@ def _meet(
         of[_LENS + p] = -vignetting * s * (ONE + square * (_THIRD + square * _FIFTH))
 
 
-@compiled
+@inner
 def _aim(position: Array, near: np.float32, of: Array, sample: Array) -> None:
     """Light relative to the plate, ``ray (S_z / (S_z - z))^3 / S_z`` (numerics, section 1)."""
     sx, sy, sz = position
@@ -274,7 +275,7 @@ def _aim(position: Array, near: np.float32, of: Array, sample: Array) -> None:
         sample[Z + p] = square
 
 
-@compiled
+@inner
 def _interpolate(cells: Array, of: Array) -> None:
     """Minus the binary logarithm of the plate's reading, without the vignetting.
 
@@ -321,7 +322,7 @@ def _power_of_two(exponent: Any) -> Any:
     return np.int32(rest.view(np.int32) + np.int32(shifted.view(np.int32) << 23)).view(np.float32)
 
 
-@compiled
+@inner
 def _divide(lamp: Array, most: np.float32, of: Array, sample: Array, colours: Array) -> None:
     """Divide by power and plate; mix grey; the variance by photons, 0 where not usable."""
     red_power, green_power, blue_power = lamp[0]
@@ -341,7 +342,7 @@ def _divide(lamp: Array, most: np.float32, of: Array, sample: Array, colours: Ar
         colours[p], colours[BLOCK + p], colours[2 * BLOCK + p] = red, green, blue
 
 
-@compiled
+@inner
 def _weigh(
     samples: Array, readout: np.float32, counts: Array, shadow: np.float32, lit: np.float32, of: Array
 ) -> None:

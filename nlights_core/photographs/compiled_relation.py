@@ -11,10 +11,10 @@ import math
 import numpy as np
 
 from nlights_core.frames import Array
-from nlights_core.machine.compiling import compiled
+from nlights_core.machine.compiling import kernel
 
 
-@compiled
+@kernel
 def relate(
     points: Array,
     position: Array,

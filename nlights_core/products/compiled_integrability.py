@@ -11,13 +11,13 @@ import math
 import numpy as np
 
 from nlights_core.frames import Array
-from nlights_core.machine.compiling import compiled
+from nlights_core.machine.compiling import inner, kernel
 
 BEFORE, AFTER = 2, 3
 """Pixels that a step's formula reaches to before and behind its first pixel."""
 
 
-@compiled
+@kernel
 def slopes(
     normals: Array, size: float, cosine: float, x: Array, y: Array, across: Array, down: Array
 ) -> None:
@@ -42,13 +42,13 @@ def slopes(
             down[BEFORE + i, j] = q * scale
 
 
-@compiled
+@inner
 def _six_point(a: float, b: float, c: float, d: float, e: float, f: float) -> float:
     """The step from c to d by the formula of `integration.height_steps`, "6-point"."""
     return (802 * (c + d) - 93 * (b + e) + 11 * (a + f)) / 1440
 
 
-@compiled
+@inner
 def _fewer_points(a: float, b: float, c: float, d: float, e: float, f: float) -> float:
     """The step from c to d by its next formula whose pixels are all known."""
     step = (13 * (c + d) - (b + e)) / 24
@@ -61,7 +61,7 @@ def _fewer_points(a: float, b: float, c: float, d: float, e: float, f: float) ->
     return step
 
 
-@compiled
+@inner
 def _height_step(first: float, second: float, distance: float) -> float:
     """From a pixel's height to the next one's; of the logarithm of the depth where there is a camera.
 
@@ -75,7 +75,7 @@ def _height_step(first: float, second: float, distance: float) -> float:
     return 2 * distance * s * (1 + square * (1 / 3 + square * (1 / 5 + square / 7)))
 
 
-@compiled
+@kernel
 def surplus(slope: Array, height: Array, distance: float, rise: int, out: Array) -> None:
     """What slopes say beyond the height's own steps, between the pixels; 0 where not known.
 
@@ -119,7 +119,7 @@ def surplus(slope: Array, height: Array, distance: float, rise: int, out: Array)
             found[j + 3 * run] = rest if rest == rest else 0.0
 
 
-@compiled
+@kernel
 def corrected(
     normals: Array,
     across: Array,
@@ -170,7 +170,7 @@ def corrected(
                 out[k, j, 2] = normals[i, j, 2]
 
 
-@compiled
+@kernel
 def smoothed_uncertainty(confidence: Array, first: int, own: float, around: float, out: Array) -> None:
     """Root of ``own`` x variance + ``around`` x mean variance of the known among 3 x 3 pixels.
 

@@ -10,10 +10,10 @@ import math
 import numpy as np
 
 from nlights_core.frames import Array
-from nlights_core.machine.compiling import compiled
+from nlights_core.machine.compiling import inner, kernel
 
 
-@compiled
+@kernel
 def count(height: Array, rows: int) -> tuple[int, int]:
     """Known pixels of the first ``rows`` rows, and twice their whole 2 x 2, of which one row more is given."""
     vertices = faces = 0
@@ -28,7 +28,7 @@ def count(height: Array, rows: int) -> tuple[int, int]:
     return vertices, faces
 
 
-@compiled
+@kernel
 def vertices(height: Array, colours: Array, x: Array, y: Array, camera: Array, out: Array) -> None:
     """Vertex records of a band's known pixels, in reading order.
 
@@ -52,7 +52,7 @@ def vertices(height: Array, colours: Array, x: Array, y: Array, camera: Array, o
                 k += 1
 
 
-@compiled
+@kernel
 def faces(height: Array, rows: int, first: int, out: Array) -> None:
     """Two triangles for each 2 x 2 of known pixels, counter-clockwise seen from the camera.
 
@@ -77,7 +77,7 @@ def faces(height: Array, rows: int, first: int, out: Array) -> None:
         upper, lower = lower, upper
 
 
-@compiled
+@kernel
 def split_errors(z: Array, size: int) -> Array:
     """How much each node of a lattice matters in a right-triangulated irregular network.
 
@@ -134,14 +134,14 @@ def split_errors(z: Array, size: int) -> Array:
     return errors
 
 
-@compiled
+@inner
 def _bend(first: np.float32, middle: np.float32, last: np.float32) -> np.float32:
     """Distance of a middle from the line between two ends, infinite where one is not known."""
     bend = abs(middle - (first + last) / 2)
     return bend if bend == bend else np.float32(np.inf)
 
 
-@compiled
+@kernel
 def network(
     z: Array, errors: Array, size: int, tolerance: float, number: Array, out: Array
 ) -> tuple[int, int]:
@@ -195,7 +195,7 @@ def network(
     return vertices, faces
 
 
-@compiled
+@kernel
 def deviation(
     places: Array, corners: Array, height: Array, start: int, stop: int
 ) -> tuple[float, float, int, int, int]:
@@ -269,7 +269,7 @@ def deviation(
     return largest, square, compared, total, known
 
 
-@compiled
+@inner
 def _side(first: Array, second: Array, turn: float, slack: float) -> tuple[float, float, float]:
     """Whether a triangle's side bounds it on the left (1), the right (-1) or not at all within a row (0).
 
@@ -283,7 +283,7 @@ def _side(first: Array, second: Array, turn: float, slack: float) -> tuple[float
     return hand, first[0] - step * first[1] - hand * slack * math.sqrt(1 + step * step), step
 
 
-@compiled
+@kernel
 def vertex_normals(points: Array, corners: Array, out: Array) -> None:
     """Unit normals (V, 3) float32 of a mesh's vertices: means of their faces', weighted by the angles there."""
     total = np.zeros((len(points), 3))

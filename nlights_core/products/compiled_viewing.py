@@ -9,10 +9,10 @@ from __future__ import annotations
 import numpy as np
 
 from nlights_core.frames import Array
-from nlights_core.machine.compiling import compiled
+from nlights_core.machine.compiling import kernel
 
 
-@compiled
+@kernel
 def encoded(
     linear: Array,
     bits: Array,
@@ -48,7 +48,7 @@ def encoded(
         out[i] = np.int32(curve * np.float32(largest) + np.float32(0.5))
 
 
-@compiled
+@kernel
 def normal_colours(normals: Array, out: Array) -> None:
     """Unit normals (n, W, 3) as 8-bit colours ``round(127.5 n + 127.5)``; not known: 0."""
     half = np.float32(127.5)
@@ -62,7 +62,7 @@ def normal_colours(normals: Array, out: Array) -> None:
                 out[i, j, k] = np.uint8(value) if known else np.uint8(0)
 
 
-@compiled
+@kernel
 def differences(colours: Array, out: Array) -> None:
     """Rows of colours (n, B) as PNG filters them: each less the one above it, modulo 256.
 

@@ -15,6 +15,7 @@ from nlights_core.files.reduction import bands
 from nlights_core.files.tiffs import Compression, write_bands
 from nlights_core.frames import Array, PixelGrid
 from nlights_core.machine.band_threads import in_order
+from nlights_core.machine.kernel_switch import read_only
 
 UNKNOWN_NORMAL = (0, 0, 0)
 """Colour of an unknown normal in the 8-bit view: no unit vector encodes to it."""
@@ -55,7 +56,7 @@ def srgb_codes(linear: Array, dtype: Any) -> Array:
     from nlights_core.products import compiled_viewing
 
     out = np.empty(linear.shape, dtype)
-    values = np.ascontiguousarray(linear, np.float32).reshape(-1)
+    values = read_only(np.ascontiguousarray(linear, np.float32).reshape(-1))
     largest = np.float32(np.iinfo(dtype).max)
     compiled_viewing.encoded(values, values.view(np.int32), *_srgb_table(), largest, out.reshape(-1))
     return out

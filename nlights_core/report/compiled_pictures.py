@@ -9,10 +9,10 @@ from __future__ import annotations
 import numpy as np
 
 from nlights_core.frames import Array
-from nlights_core.machine.compiling import compiled
+from nlights_core.machine.compiling import kernel
 
 
-@compiled
+@kernel
 def levels(values: Array, low: float, high: float, span: float, out: Array) -> None:
     """Places of values (h, w) on a scale of 256 steps from ``low`` to ``high``, ``span`` apart; not known: 0."""
     for i in range(values.shape[0]):
@@ -22,7 +22,7 @@ def levels(values: Array, low: float, high: float, span: float, out: Array) -> N
             out[i, j] = np.uint8(share * 255 + 0.5) if abs(value) < np.inf else np.uint8(0)
 
 
-@compiled
+@kernel
 def hatched(colours: Array, known: Array, times: int, out: Array) -> None:
     """Colours (h, w, 3), each ``times`` x ``times`` pixels of ``out``, and grey stripes where not known."""
     for i in range(out.shape[0]):

@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from nlights_core.frames import Array
-from nlights_core.machine.compiling import compiled
+from nlights_core.machine.compiling import inner, kernel
 
 LANES = 512
 """Sums that run side by side: they fit into a core's innermost cache."""
@@ -33,7 +33,7 @@ SERIES = tuple(
 """Of the arc tangent's share of its argument, in powers of its square from the first."""
 
 
-@compiled
+@kernel
 def known_sum(values: Array) -> tuple[float, int]:
     """Sum and number of the finite ones of some values (N,)."""
     total, known = np.zeros(LANES), np.zeros(LANES, np.int64)
@@ -47,7 +47,7 @@ def known_sum(values: Array) -> tuple[float, int]:
     return total.sum(), known.sum()
 
 
-@compiled
+@kernel
 def counts(values: Array, least: int) -> tuple[int, int]:
     """Sum of whole numbers (N,), and how many are at least ``least``."""
     total, enough = np.zeros(LANES, np.int64), np.zeros(LANES, np.int64)
@@ -59,14 +59,14 @@ def counts(values: Array, least: int) -> tuple[int, int]:
     return total.sum(), enough.sum()
 
 
-@compiled
+@inner
 def _parted(normals: Array, x: Array, y: Array, z: Array) -> None:
     """Components of normals (N, 3), each by itself: a core takes several neighbours at once."""
     for j in range(len(normals)):
         x[j], y[j], z[j] = normals[j, 0], normals[j, 1], normals[j, 2]
 
 
-@compiled
+@kernel
 def inclinations(normals: Array) -> tuple[float, int]:
     """Sum of the angles between normals (N, 3) and z, radians, and number of the known ones.
 
@@ -102,7 +102,7 @@ def inclinations(normals: Array) -> tuple[float, int]:
     return total.sum(), known.sum()
 
 
-@compiled
+@kernel
 def misclosure(normals: Array, steepest: np.float32) -> tuple[float, int]:
     """Sum of the squares, and number, of `map_statistics.misclosure` over (n, W, 3), per pixel size.
 
@@ -137,7 +137,7 @@ def misclosure(normals: Array, steepest: np.float32) -> tuple[float, int]:
     return total.sum(), known.sum()
 
 
-@compiled
+@kernel
 def height_sums(height: Array, level: float, x: Array, y: Array, matrix: Array, right: Array) -> float:
     """Sums over the known pixels of (n, W) for its moments and a least-squares plane z = a x + b y + c.
 

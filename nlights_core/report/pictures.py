@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nlights_core.frames import Array
+from nlights_core.machine.kernel_switch import read_only
 from nlights_core.report.figures import figure_of
 
 LONGEST = 1200
@@ -134,7 +135,8 @@ def hatch(colours: Array, known: Array) -> Array:
 
     times = max(1, 600 // max(known.shape))
     out = np.empty((known.shape[0] * times, known.shape[1] * times, 3), np.uint8)
-    compiled_pictures.hatched(np.ascontiguousarray(colours), known, times, out)
+    shown, valid = (read_only(np.ascontiguousarray(array)) for array in (colours, known))
+    compiled_pictures.hatched(shown, valid, times, out)
     return out
 
 

@@ -6,13 +6,14 @@ What the normal solvers `progressive` and `rank-trim` say in numpy, over blocks 
 
 from __future__ import annotations
 
-from typing import Any, get_args
+from collections.abc import Callable
+from typing import Any
 
 import numba
 import numpy as np
 
 from nlights_core.frames import Array
-from nlights_core.photographs.blocks import BLOCK, ONE, TRIAL, USABLE, VALUE, ZERO, compiled
+from nlights_core.photographs.blocks import BLOCK, ONE, TRIAL, USABLE, VALUE, ZERO, inner
 from nlights_core.solving.compiled_fits import (
     DETERMINANT,
     Work,
@@ -27,44 +28,59 @@ from nlights_core.solving.compiled_fits import (
 )
 from nlights_core.solving.compiled_medians import take_medians
 from nlights_core.solving.compiled_reweighting import reweigh_blocks
-from nlights_core.solving.rules import Kernel, Rule
+from nlights_core.solving.rules import Kernel, Limits
 
-_ROBUST, _PROGRESSIVE, _RANK_TRIM, _MEDIAN = (
-    get_args(Kernel).index(name) for name in ("robust", "progressive", "rank-trim", "median-of-triplets")
-)
 _LEAST_REST = np.float32(1e-6)
 
 
-@compiled
-def fit_blocks(work: Work, rule: Rule) -> None:
-    """Fit all blocks.
-
-    Parameters
-    ----------
-    work : Work
-        Its samples have `VALUE`, `USABLE`, `TRIAL` and the light; `TRIAL` becomes the weight that
-        is used.  Its fits receive `SCALED`, the inverse in `MATRIX`, and `DETERMINANT`.
-    rule : Rule
-        To which samples.
-    """
+@inner
+def _fit_least_squares(work: Work, limits: Limits) -> None:
     samples, fits = work.samples, work.fits
-    if rule.way == _ROBUST:
-        reweigh_blocks(work)
-    else:
-        for block in range(len(samples)):
-            if rule.way == _RANK_TRIM:
-                _trim(samples[block], work.rows, rule.darkest, rule.brightest)
-            normal_equations(samples[block], fits[block])
-            inverted(fits[block])
-            if rule.way == _PROGRESSIVE:
-                _discard(samples[block], fits[block], work.rows, rule.keep, rule.condition)
+    for block in range(len(samples)):
+        normal_equations(samples[block], fits[block])
+        inverted(fits[block])
+        refined(samples[block], fits[block])
+
+
+@inner
+def _fit_robustly(work: Work, limits: Limits) -> None:
+    samples, fits = work.samples, work.fits
+    reweigh_blocks(work)
     for block in range(len(samples)):
         refined(samples[block], fits[block])
-        if rule.way == _MEDIAN:
-            take_medians(samples[block], fits[block], work, rule.condition)
 
 
-@compiled
+@inner
+def _fit_progressively(work: Work, limits: Limits) -> None:
+    samples, fits = work.samples, work.fits
+    for block in range(len(samples)):
+        normal_equations(samples[block], fits[block])
+        inverted(fits[block])
+        _discard(samples[block], fits[block], work.rows, limits.keep, limits.condition)
+        refined(samples[block], fits[block])
+
+
+@inner
+def _fit_trimmed(work: Work, limits: Limits) -> None:
+    samples, fits = work.samples, work.fits
+    for block in range(len(samples)):
+        _trim(samples[block], work.rows, limits.darkest, limits.brightest)
+        normal_equations(samples[block], fits[block])
+        inverted(fits[block])
+        refined(samples[block], fits[block])
+
+
+@inner
+def _fit_medians(work: Work, limits: Limits) -> None:
+    samples, fits = work.samples, work.fits
+    for block in range(len(samples)):
+        normal_equations(samples[block], fits[block])
+        inverted(fits[block])
+        refined(samples[block], fits[block])
+        take_medians(samples[block], fits[block], work, limits.condition)
+
+
+@inner
 def _trim(samples: Array, rows: Array, darkest: float, brightest: float) -> None:
     """Trial weights without the darkest and the brightest; see `nlights_core.solving.robust_fitting.rank_trimmed`.
 
@@ -91,7 +107,7 @@ def _trim(samples: Array, rows: Array, darkest: float, brightest: float) -> None
             own[TRIAL + p] = own[USABLE + p] if kept else ZERO
 
 
-@compiled
+@inner
 def _discard(samples: Array, fit: Array, rows: Array, keep: int, condition: float) -> None:
     """Discard, one by one, the samples that the others predict worst, until so many are left.
 
@@ -130,7 +146,7 @@ def _alone(of: Array, fit: Array, p: int) -> Any:
     return of[TRIAL + p] * missed * missed
 
 
-@compiled
+@inner
 def _find_worst(samples: Array, fit: Array, largest: Array, worst: Array) -> None:
     """Place of the sample of each pixel that the others predict worst."""
     for p in range(BLOCK):
@@ -144,7 +160,7 @@ def _find_worst(samples: Array, fit: Array, largest: Array, worst: Array) -> Non
             largest[p] = alone if larger else largest[p]
 
 
-@compiled
+@inner
 def _discard_exactly(samples: Array, fit: Array, p: int, keep: int, condition: float) -> None:
     """`_discard` of one pixel, every fit in double precision."""
     count = 0
@@ -167,3 +183,17 @@ def _discard_exactly(samples: Array, fit: Array, p: int, keep: int, condition: f
             samples[worst, TRIAL + p] = weight
             return
         count -= 1
+
+
+FITS: dict[Kernel, Callable[[Work, Limits], None]] = {
+    "least-squares": _fit_least_squares,
+    "robust": _fit_robustly,
+    "progressive": _fit_progressively,
+    "rank-trim": _fit_trimmed,
+    "median-of-triplets": _fit_medians,
+}
+"""By kernel, how all blocks are fitted; each is compiled only where it is asked for.
+
+``work.samples`` have `VALUE`, `USABLE`, `TRIAL` and the light; `TRIAL` becomes the weight that is used.
+``work.fits`` receive `SCALED`, the inverse in `MATRIX`, and `DETERMINANT`.
+"""

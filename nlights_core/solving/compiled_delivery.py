@@ -5,10 +5,13 @@ See `nlights_core.solving.compiled_fits` for the blocks and `nlights_core.solvin
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import cache
+
 import numpy as np
 
 from nlights_core.frames import Array
-from nlights_core.photographs.blocks import BLOCK, ONE, TRIAL, VALUE, ZERO, X, Y, Z, compiled, copy
+from nlights_core.photographs.blocks import BLOCK, ONE, TRIAL, VALUE, ZERO, X, Y, Z, copy, inner, kernel
 from nlights_core.photographs.compiled_development import (
     INVERSE,
     LIGHT,
@@ -18,17 +21,17 @@ from nlights_core.photographs.compiled_development import (
     develop,
 )
 from nlights_core.photographs.strips import Blocks, Optics, Strip
-from nlights_core.solving.compiled_choices import fit_blocks
+from nlights_core.solving.compiled_choices import FITS
 from nlights_core.solving.compiled_fits import Work
 from nlights_core.solving.compiled_solutions import ALBEDO, NORMAL, RESIDUAL, UNCERTAINTY, solve_blocks
 from nlights_core.solving.kernels import Images
-from nlights_core.solving.rules import Rule
+from nlights_core.solving.rules import Kernel, Limits
 
 # Of the scratch of a block: sums of w s^2 and of what a flat surface would show; number of used lights.
 _TOTAL, _UPWARD, _USED = 0, BLOCK, 2 * BLOCK
 
 
-@compiled
+@kernel
 def deliver(blocks: Blocks, found: Array, first: int, white: np.float32, images: Images) -> None:
     """Write solved blocks to the rows of a strip.
 
@@ -65,7 +68,7 @@ def deliver(blocks: Blocks, found: Array, first: int, white: np.float32, images:
         _count(blocks.counts[block, SHADOWED:], images.shadow[row, here])
 
 
-@compiled
+@kernel
 def take(
     samples: Array, normals: Array, albedo: Array, confidence: Array, weights: Array, found: Array
 ) -> None:
@@ -103,7 +106,7 @@ def take(
             of[RESIDUAL + p] = np.sqrt(squares / total) / of[ALBEDO + p]
 
 
-@compiled
+@inner
 def _colour(samples: Array, colours: Array, found: Array, white: np.float32, of: Array) -> None:
     """Albedo (`LIGHT`) and reflection (`INVERSE`) of every channel, number of used lights."""
     for k in range(LIGHT, SCRATCH):
@@ -143,7 +146,7 @@ def _colour(samples: Array, colours: Array, found: Array, white: np.float32, of:
         of[LIGHT + p], of[LIGHT + BLOCK + p], of[LIGHT + 2 * BLOCK + p] = red, green, blue
 
 
-@compiled
+@inner
 def _put(planes: Array, pixels: Array) -> None:
     """Interleave the planes of a block into pixels (n, C)."""
     size, channels = pixels.shape
@@ -156,43 +159,43 @@ def _put(planes: Array, pixels: Array) -> None:
         copy(planes, pixels.reshape(size))
 
 
-@compiled
+@inner
 def _count(numbers: Array, out: Array) -> None:
     """Write counts as bytes."""
     for p in range(len(out)):
         out[p] = np.uint8(min(numbers[p], np.float32(255)))
 
 
-@compiled
-def solve_strip(
-    strip: Strip,
-    optics: Optics,
-    shadow: np.float32,
-    lit: np.float32,
-    rule: Rule,
-    white: np.float32,
-    blocks: Blocks,
-    work: Work,
-    images: Images,
-) -> None:
-    """Develop and solve a strip.
+@cache
+def strip_solver(kernel_name: Kernel) -> Callable[..., None]:
+    """Make the loop that develops and solves strips as one of the kernels does.
 
-    Parameters
-    ----------
-    strip, optics, shadow, lit, blocks
-        As for `develop`.
-    rule : Rule
-        Whose work is done.
-    white : float32
-        As for `deliver`.
-    work : Work
-        With the samples of ``blocks``.
-    images : Images
-        Receive the strip.
+    Returns
+    -------
+    callable
+        ``(strip, optics, shadow, lit, limits, white, blocks, work, images)``: the first four and ``blocks`` as for
+        `develop`; ``white`` as for `deliver`; ``work`` with the samples of ``blocks``; ``images`` receive the
+        strip.
     """
-    across = (len(strip.x) + BLOCK - 1) // BLOCK
-    for first in range(0, len(strip.y) * across, len(work.samples)):
-        develop(strip, optics, first, shadow, lit, blocks)
-        fit_blocks(work, rule)
-        solve_blocks(work, rule.condition)
-        deliver(blocks, work.found, first, white, images)
+    fit = FITS[kernel_name]
+
+    def solve_strip(
+        strip: Strip,
+        optics: Optics,
+        shadow: np.float32,
+        lit: np.float32,
+        limits: Limits,
+        white: np.float32,
+        blocks: Blocks,
+        work: Work,
+        images: Images,
+    ) -> None:
+        across = (len(strip.x) + BLOCK - 1) // BLOCK
+        for first in range(0, len(strip.y) * across, len(work.samples)):
+            develop(strip, optics, first, shadow, lit, blocks)
+            fit(work, limits)
+            solve_blocks(work, limits.condition)
+            deliver(blocks, work.found, first, white, images)
+
+    solve_strip.__qualname__ = f"solve_strip.{kernel_name}"  # by which it is found again
+    return kernel(solve_strip)

@@ -13,7 +13,7 @@ import numba
 import numpy as np
 
 from nlights_core.frames import Array
-from nlights_core.photographs.blocks import BLOCK, ONE, TINY, TRIAL, USABLE, VALUE, ZERO, X, Y, Z, compiled
+from nlights_core.photographs.blocks import BLOCK, ONE, TINY, TRIAL, USABLE, VALUE, ZERO, X, Y, Z, inner
 
 # Of a fit, in an array (FIT,):
 SCALED, MATRIX, RIGHT, DETERMINANT = 0, 3 * BLOCK, 9 * BLOCK, 12 * BLOCK
@@ -65,7 +65,7 @@ class Work(NamedTuple):
     said: Array
 
 
-@compiled
+@inner
 def count_usable(samples: Array, counts: Array) -> None:
     """How many samples of each pixel are usable."""
     for p in range(BLOCK):
@@ -76,7 +76,7 @@ def count_usable(samples: Array, counts: Array) -> None:
             counts[p] += ONE if of[USABLE + p] > ZERO else ZERO
 
 
-@compiled
+@inner
 def normal_equations(samples: Array, fit: Array) -> None:
     """Sums of ``w l l^T`` and ``w I l`` with the trial weights: `MATRIX` and `RIGHT` of a fit."""
     for k in range(MATRIX, DETERMINANT):
@@ -105,7 +105,7 @@ def add_sample(of: Array, fit: Array, p: int) -> None:
     fit[RIGHT + 2 * BLOCK + p] += right * z
 
 
-@compiled
+@inner
 def inverted(fit: Array) -> None:
     """Put the inverse in the place of `MATRIX`, and `SCALED` = inverse times `RIGHT`.
 
@@ -129,7 +129,7 @@ def inverted(fit: Array) -> None:
     corrected(fit)
 
 
-@compiled
+@inner
 def corrected(fit: Array) -> None:
     """Add inverse times `RIGHT` to `SCALED`."""
     for p in range(BLOCK):
@@ -141,7 +141,7 @@ def corrected(fit: Array) -> None:
         fit[SCALED + 2 * BLOCK + p] += xz * x + yz * y + zz * z
 
 
-@compiled
+@inner
 def surely_determined(condition: float) -> Any:
     """Determinant of a normal matrix of trace 1 above which it is conditioned well enough."""
     # Of eigenvalues that sum up to 1 no two have a product above 1/4: so the smallest is at least four
@@ -166,7 +166,7 @@ def leverage(of: Array, fit: Array, p: int) -> Any:
     return own + np.float32(2) * (xy * x * y + xz * x * z + yz * y * z)
 
 
-@compiled
+@inner
 def refined(samples: Array, fit: Array) -> None:
     """One step of iterative refinement: single precision becomes as good as double would be."""
     for k in range(RIGHT, DETERMINANT):
@@ -181,7 +181,7 @@ def refined(samples: Array, fit: Array) -> None:
     corrected(fit)
 
 
-@compiled
+@inner
 def solved_exactly(samples: Array, fit: Array, p: int, which: int, condition: float) -> bool:
     """Solve one pixel in double precision with the weights that begin at ``which``.
 
@@ -219,7 +219,7 @@ def solved_exactly(samples: Array, fit: Array, p: int, which: int, condition: fl
     return True
 
 
-@compiled
+@inner
 def _well(xx: float, xy: float, xz: float, yy: float, yz: float, zz: float, condition: float) -> Any:
     """Whether a matrix is conditioned well enough: `least_squares.eigenvalues`, of one matrix."""
     mean = (xx + yy + zz) / 3

@@ -8,14 +8,14 @@ from __future__ import annotations
 import numpy as np
 
 from nlights_core.frames import Array
-from nlights_core.photographs.blocks import BLOCK, ONE, TRIAL, USABLE, VALUE, ZERO, X, Y, Z, compiled
+from nlights_core.photographs.blocks import BLOCK, ONE, TRIAL, USABLE, VALUE, ZERO, X, Y, Z, inner
 from nlights_core.solving.compiled_fits import DETERMINANT, SCALED, Work, solved_exactly, surely_determined
 
 _SIGN, _OTHERS = np.int32(-(2**31)), np.int32(2**31 - 1)
 _HALF = np.float32(0.5)
 
 
-@compiled
+@inner
 def take_medians(samples: Array, fit: Array, work: Work, condition: float) -> None:
     """Put medians in the place of what least squares found; NaN where that is not determined.
 
@@ -47,7 +47,7 @@ def take_medians(samples: Array, fit: Array, work: Work, condition: float) -> No
             fit[SCALED + k * BLOCK + p] = found[p] if known else np.float32(np.nan)
 
 
-@compiled
+@inner
 def _ask(samples: Array, triplets: Array, said: Array) -> None:
     """Albedo times normal that each triplet says, and its share."""
     for t in range(len(triplets)):
@@ -66,7 +66,7 @@ def _ask(samples: Array, triplets: Array, said: Array) -> None:
             said[3, t, p] = volume * volume * a[USABLE + p] * b[USABLE + p] * c[USABLE + p]
 
 
-@compiled
+@inner
 def _median(values: Array, shares: Array, total: Array, below: Array, median: Array) -> None:
     """Median of the values of each pixel, each counting by its share; the values are lost.
 

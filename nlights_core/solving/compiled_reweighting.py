@@ -12,7 +12,7 @@ import numpy as np
 
 from nlights_core.algorithms import PHOTONS
 from nlights_core.frames import Array
-from nlights_core.photographs.blocks import BLOCK, ONE, SAMPLE, TRIAL, USABLE, ZERO, compiled, copy
+from nlights_core.photographs.blocks import BLOCK, ONE, SAMPLE, TRIAL, USABLE, ZERO, copy, inner
 from nlights_core.solving.compiled_fits import (
     DETERMINANT,
     FIT,
@@ -49,7 +49,7 @@ def _albedo_squared(fit: Array, p: int) -> Any:
     return x * x + y * y + z * z
 
 
-@compiled
+@inner
 def doubtful(samples: Array, fit: Array, worst: Array, counts: Array, chosen: Array) -> int:
     """Find the pixels in which least squares are contradicted by a sample.
 
@@ -94,7 +94,7 @@ def _photon_variance(squared: Any) -> Any:
     return squared / (max(np.sqrt(squared), _DARKEST) * _PHOTONS)
 
 
-@compiled
+@inner
 def biweighted(samples: Array, fit: Array, noise: Array, rows: Array, quantiles: Array) -> None:
     """Trial weights by Tukey's biweight about the L1 fit; see `robust_fitting.reweighted`.
 
@@ -136,7 +136,7 @@ def biweighted(samples: Array, fit: Array, noise: Array, rows: Array, quantiles:
     normal_equations(samples, fit)
 
 
-@compiled
+@inner
 def _expected(samples: Array, fit: Array, precision: Array) -> None:
     """Inverse of the standard deviation that each sample is expected to have; 0 if not used."""
     for i in range(len(samples)):
@@ -148,7 +148,7 @@ def _expected(samples: Array, fit: Array, precision: Array) -> None:
             out[p] = np.sqrt(weight / variance)
 
 
-@compiled
+@inner
 def _least_absolute_step(samples: Array, fit: Array, precision: Array) -> None:
     """Normal equations with weights that make squares of residuals absolute ones."""
     for k in range(MATRIX, DETERMINANT):
@@ -160,7 +160,7 @@ def _least_absolute_step(samples: Array, fit: Array, precision: Array) -> None:
             add_sample(of, fit, p)
 
 
-@compiled
+@inner
 def _surprises(samples: Array, fit: Array, precision: Array, missed: Array) -> None:
     """Absolute residuals in units of the expected noise; infinite where a sample is not used."""
     for i in range(len(samples)):
@@ -170,7 +170,7 @@ def _surprises(samples: Array, fit: Array, precision: Array, missed: Array) -> N
             out[p] = surprise if of[USABLE + p] > ZERO else np.float32(np.inf)
 
 
-@compiled
+@inner
 def _scales(samples: Array, missed: Array, quantiles: Array, scale: Array, rows: Array) -> None:
     """Robust scale of the residuals of an L1 fit, as `robust_fitting` has it.
 
@@ -198,7 +198,7 @@ def _scales(samples: Array, missed: Array, quantiles: Array, scale: Array, rows:
         scale[p] /= quantiles[np.int64(counts[p])]
 
 
-@compiled
+@inner
 def _without_worst(
     samples: Array, fit: Array, precision: Array, start: Array, largest: Array, worst: Array
 ) -> None:
@@ -230,7 +230,7 @@ def _without_worst(
     inverted(fit)
 
 
-@compiled
+@inner
 def _keep_better(missed: Array, other: Array, scale: Array, other_scale: Array) -> None:
     """Take the residuals of the smaller scale."""
     for i in range(len(missed)):
@@ -241,7 +241,7 @@ def _keep_better(missed: Array, other: Array, scale: Array, other_scale: Array) 
         scale[p] = other_scale[p] if other_scale[p] < scale[p] else scale[p]
 
 
-@compiled
+@inner
 def _biweigh(samples: Array, missed: Array, per_reach: Array) -> None:
     """Trial weights by Tukey's biweight of residuals; ``per_reach``: 1 over where it ends."""
     for i in range(len(samples)):
@@ -252,7 +252,7 @@ def _biweigh(samples: Array, missed: Array, per_reach: Array) -> None:
             of[TRIAL + p] = of[USABLE + p] * rest * rest
 
 
-@compiled
+@inner
 def reweigh_blocks(work: Work) -> None:
     """Fit all blocks by least squares, and what those cannot explain by `biweighted`.
 
@@ -263,7 +263,7 @@ def reweigh_blocks(work: Work) -> None:
     """
     samples, fits, rows = work.samples, work.fits, work.rows
     which, chosen, fewer = work.places[0], work.places[1], work.places[2]
-    waiting = 0
+    waiting = np.int64(0)  # a plain 0 is a constant to the compiler, for which it would compile another copy
     for block in range(len(samples)):
         normal_equations(samples[block], fits[block])
         inverted(fits[block])
@@ -277,13 +277,13 @@ def reweigh_blocks(work: Work) -> None:
             waiting += 1
             if waiting == BLOCK:
                 _reweigh(work, waiting)
-                waiting = 0
+                waiting = np.int64(0)
     if waiting:
         _reweigh(work, waiting)
 
 
-@compiled
-def _reweigh(work: Work, size: int) -> None:
+@inner
+def _reweigh(work: Work, size: Any) -> None:
     """Collect pixels from their blocks into one, solve them by `biweighted`, and return them."""
     samples, fits, some, fit = work.samples, work.fits, work.some, work.fit
     for q in range(size):
@@ -303,7 +303,7 @@ def _reweigh(work: Work, size: int) -> None:
             fits[block, k + p] = fit[k + q]
 
 
-@compiled
+@inner
 def _undo_others(samples: Array, fit: Array, chosen: Array, others: Array) -> None:
     """Give all pixels but the chosen ones their usable weights back, and solve."""
     others[:] = ONE

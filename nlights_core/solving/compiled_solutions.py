@@ -5,13 +5,29 @@ See `nlights_core.solving.compiled_fits` for the blocks.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import cache
+
 import numba
 import numpy as np
 
 from nlights_core.algorithms import PHOTONS
 from nlights_core.frames import Array
-from nlights_core.photographs.blocks import BLOCK, ONE, SAMPLE, TRIAL, USABLE, VALUE, ZERO, X, Y, Z, compiled
-from nlights_core.solving.compiled_choices import fit_blocks
+from nlights_core.photographs.blocks import (
+    BLOCK,
+    ONE,
+    SAMPLE,
+    TRIAL,
+    USABLE,
+    VALUE,
+    ZERO,
+    X,
+    Y,
+    Z,
+    inner,
+    kernel,
+)
+from nlights_core.solving.compiled_choices import FITS
 from nlights_core.solving.compiled_fits import (
     DETERMINANT,
     MATRIX,
@@ -21,7 +37,7 @@ from nlights_core.solving.compiled_fits import (
     surely_determined,
 )
 from nlights_core.solving.least_squares import COVERING, FORESEEN
-from nlights_core.solving.rules import Rule
+from nlights_core.solving.rules import Kernel, Limits
 
 # Of a solution, in an array (FOUND,):
 NORMAL, ALBEDO, UNCERTAINTY, RESIDUAL = 0, 3 * BLOCK, 4 * BLOCK, 5 * BLOCK
@@ -33,7 +49,7 @@ _DEGREES = np.float32(np.degrees(COVERING) / np.sqrt(2))
 _NAN = np.float32(np.nan)
 
 
-@compiled
+@inner
 def usable(work: Work, shadow: np.float32) -> None:
     """Leave out what is not finite or in shadow: value and weights 0.
 
@@ -66,7 +82,7 @@ def usable(work: Work, shadow: np.float32) -> None:
                 of[TRIAL + p] = weight
 
 
-@compiled
+@inner
 def load(images: Array, lights: Array, weights: Array, start: int, shadow: np.float32, work: Work) -> None:
     """Put pixels into blocks, those past the end with weight 0, and tell which are usable.
 
@@ -102,14 +118,14 @@ def load(images: Array, lights: Array, weights: Array, start: int, shadow: np.fl
     usable(work, shadow)
 
 
-@compiled
+@inner
 def solve_blocks(work: Work, condition: float) -> None:
     """Normals, albedo and uncertainty of all blocks.
 
     Parameters
     ----------
     work : Work
-        With the fits of `nlights_core.solving.compiled_choices.fit_blocks`.  `TRIAL` of a sample becomes 0 where
+        With the fits of `nlights_core.solving.compiled_choices.FITS`.  `TRIAL` of a sample becomes 0 where
         the normal is not known; ``found`` receives the solution, NaN where not known.
     condition : float
         As for `nlights_core.solving.least_squares.fit`.
@@ -145,7 +161,7 @@ def _add(of: Array, fit: Array, rows: Array, p: int) -> None:
     rows[3 * BLOCK + p] += weight * missed * missed
 
 
-@compiled
+@inner
 def _sums(samples: Array, fit: Array, rows: Array) -> None:
     """Number of lights, and sums over them of w, w times what the fit shows, w missed^2."""
     for k in range(4 * BLOCK):
@@ -156,7 +172,7 @@ def _sums(samples: Array, fit: Array, rows: Array) -> None:
             _add(of, fit, rows, p)
 
 
-@compiled
+@inner
 def _sum_pixel(samples: Array, fit: Array, rows: Array, p: int) -> None:
     """`_sums` of one pixel."""
     for k in range(4):
@@ -165,7 +181,7 @@ def _sum_pixel(samples: Array, fit: Array, rows: Array, p: int) -> None:
         _add(samples[i], fit, rows, p)
 
 
-@compiled
+@inner
 def _finish(fit: Array, rows: Array, found: Array) -> None:
     """Split fits into normal, albedo, uncertainty and residual; see `least_squares.solution`."""
     for p in range(BLOCK):
@@ -189,7 +205,7 @@ def _finish(fit: Array, rows: Array, found: Array) -> None:
         found[RESIDUAL + p] = np.sqrt(rows[3 * BLOCK + p] / rows[BLOCK + p]) / albedo
 
 
-@compiled
+@inner
 def _solve_exactly(samples: Array, fit: Array, p: int, condition: float) -> None:
     """Solve one pixel in double precision, by the trial weights or else by all usable samples."""
     if solved_exactly(samples, fit, p, TRIAL, condition):
@@ -203,7 +219,7 @@ def _solve_exactly(samples: Array, fit: Array, p: int, condition: float) -> None
             fit[SCALED + k * BLOCK + p] = _NAN
 
 
-@compiled
+@inner
 def unload(
     samples: Array,
     found: Array,
@@ -238,24 +254,37 @@ def unload(
                 weights[i, first + p] = samples[block, i, TRIAL + p]
 
 
-@compiled
-def solve_pixels(
-    images: Array,
-    lights: Array,
-    weights: Array,
-    first: int,
-    last: int,
-    shadow: np.float32,
-    rule: Rule,
-    work: Work,
-    normals: Array,
-    albedo: Array,
-    confidence: Array,
-    used: Array,
-) -> None:
-    """Solve pixels ``first`` to ``last`` of a row; parameters as for `load`, `solve_blocks`, `unload`."""
-    for start in range(first, min(last, len(albedo)), len(work.samples) * BLOCK):
-        load(images, lights, weights, start, shadow, work)
-        fit_blocks(work, rule)
-        solve_blocks(work, rule.condition)
-        unload(work.samples, work.found, start, normals, albedo, confidence, used)
+@cache
+def pixel_solver(kernel_name: Kernel) -> Callable[..., None]:
+    """Make the loop that solves pixels as one of the kernels does: only what is asked for is compiled.
+
+    Returns
+    -------
+    callable
+        ``(images, lights, weights, first, last, shadow, limits, work, normals, albedo, confidence, used)``:
+        pixels ``first`` to ``last`` of a row; the others as for `load`, `solve_blocks` and `unload`.
+    """
+    fit = FITS[kernel_name]
+
+    def solve_pixels(
+        images: Array,
+        lights: Array,
+        weights: Array,
+        first: int,
+        last: int,
+        shadow: np.float32,
+        limits: Limits,
+        work: Work,
+        normals: Array,
+        albedo: Array,
+        confidence: Array,
+        used: Array,
+    ) -> None:
+        for start in range(first, min(last, len(albedo)), len(work.samples) * BLOCK):
+            load(images, lights, weights, start, shadow, work)
+            fit(work, limits)
+            solve_blocks(work, limits.condition)
+            unload(work.samples, work.found, start, normals, albedo, confidence, used)
+
+    solve_pixels.__qualname__ = f"solve_pixels.{kernel_name}"  # by which it is found again
+    return kernel(solve_pixels)

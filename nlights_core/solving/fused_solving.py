@@ -29,7 +29,7 @@ from nlights_core.photographs.images import EYE
 from nlights_core.photographs.plates import Plate
 from nlights_core.photographs.strips import Blocks, Optics, Strip
 from nlights_core.solving.agreement import AgreementMeter
-from nlights_core.solving.compiled_delivery import deliver, solve_strip, take
+from nlights_core.solving.compiled_delivery import deliver, strip_solver, take
 from nlights_core.solving.compiled_solutions import FOUND
 from nlights_core.solving.kernels import Images, rule_of, scratch
 from nlights_core.solving.least_squares import UsableLights
@@ -210,12 +210,14 @@ class FusedSolver:
             work = scratch(len(self.lights.lamps), self._rule)
             blocks = self._blocks(work.samples)
             limits = np.float32(self.shadow), np.float32(self.solver.shadow)
-            solve_strip(strip, self.optics, *limits, self._rule, white, blocks, work, images)
+            solve_strip = strip_solver(self._rule.kernel)
+            solve_strip(strip, self.optics, *limits, self._rule.limits, white, blocks, work, images)
         else:
             blocks, band = self._developed(strip)
             found = np.empty((len(blocks.samples), FOUND), np.float32)
             solution = verbs.solve(self.solver, band.grey, band.lights, band.weights)
-            take(blocks.samples, *(np.require(part, np.float32, ["C", "W"]) for part in solution), found)
+            normals, albedo, uncertainty, used = (np.require(p, np.float32, ["C", "W"]) for p in solution)
+            take(blocks.samples, normals, albedo, uncertainty, used, found)
             deliver(blocks, found, 0, white, images)
         pixels = np.count_nonzero(strip.inside) if strip.inside.size else images.residual.size
         return int(pixels), blocks.totals[: self._count]

@@ -67,7 +67,7 @@ def solve(rule: Rule, images: Array, lights: Array, weights: Array, shadow: floa
         number of threads.
     """
     from nlights_core.photographs.blocks import BLOCK
-    from nlights_core.solving.compiled_solutions import solve_pixels
+    from nlights_core.solving.compiled_solutions import pixel_solver
 
     count, *shape = images.shape
     pixels = images[0].size
@@ -78,7 +78,7 @@ def solve(rule: Rule, images: Array, lights: Array, weights: Array, shadow: floa
     confidence, used = np.empty(pixels, np.float32), np.empty((count, pixels), np.float32)
     samples = (values, rays, given)
     found = (normals, albedo, confidence, used)
-    limits = (np.float32(shadow), rule)
+    limits, solve_pixels = (np.float32(shadow), rule.limits), pixel_solver(rule.kernel)
 
     def task(first: int) -> None:
         solve_pixels(*samples, first, first + TASK, *limits, scratch(count, rule), *found)
@@ -102,7 +102,7 @@ def scratch(count: int, rule: Rule) -> Work:
 
     blocks = max(SAMPLES // (count * BLOCK), 1)
     # Of a hundred lights there are so many triplets that only who asks for them shall wait.
-    triplets = chosen_triplets(count, rule.most) if rule.most else np.empty((0, 3), np.int64)
+    triplets = chosen_triplets(count, rule.limits.most) if rule.limits.most else np.empty((0, 3), np.int64)
     return Work(
         samples=np.empty((blocks, count, SAMPLE), np.float32),
         fits=np.empty((blocks, FIT), np.float32),

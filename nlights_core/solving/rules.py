@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, Literal, NamedTuple
 
 Kernel = Literal["least-squares", "robust", "progressive", "rank-trim", "median-of-triplets"]
 """Whose work a kernel does."""
 
 
-class Rule(NamedTuple):
-    """To which of its usable samples a pixel is fitted.
+class Limits(NamedTuple):
+    """Numbers by which a kernel chooses among the usable samples of a pixel.
 
     Attributes
     ----------
-    way : int
-        Place of the `Kernel` among all.
     condition : float
         Option of `nlights_core.solving.least_squares.UsableLights`.
     keep : int
@@ -25,7 +23,6 @@ class Rule(NamedTuple):
         Option of ``median-of-triplets``: how many triplets are solved at most.
     """
 
-    way: int
     condition: float
     keep: int = 0
     darkest: float = 0.0
@@ -33,7 +30,22 @@ class Rule(NamedTuple):
     most: int = 0
 
 
+class Rule(NamedTuple):
+    """To which of its usable samples a pixel is fitted.
+
+    Attributes
+    ----------
+    kernel : Kernel
+        How.
+    limits : Limits
+        With which numbers.
+    """
+
+    kernel: Kernel
+    limits: Limits
+
+
 def rule(kernel: Kernel, condition: float, **options: Any) -> Rule:
-    """The rule of a kernel with the options of its solver, of which there may be more."""
-    known = {name: value for name, value in options.items() if name in Rule._fields}
-    return Rule(get_args(Kernel).index(kernel), condition, **known)
+    """Make the rule of a kernel with the options of its solver, of which there may be more."""
+    known = {name: value for name, value in options.items() if name in Limits._fields}
+    return Rule(kernel, Limits(condition, **known))

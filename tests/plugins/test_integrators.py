@@ -270,5 +270,5 @@ def test_no_more_memory_is_taken_than_is_stated_or_refused(route, monkeypatch):
     assert peak < stated
     monkeypatch.setenv(VARIABLE, str(stated - 1))
     if route != "direct":  # which is compared before a tile is begun
-        with pytest.raises(TileError, match=r"integrator: .* needs .* of memory, but --memory allows"):
+        with pytest.raises(TileError, match=r"integrator: .* needs .* of memory, but NLIGHTS_MEMORY allows"):
             Simchony().integrate(field)
