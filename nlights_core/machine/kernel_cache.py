@@ -13,6 +13,7 @@ import os
 import shutil
 import sys
 import sysconfig
+from contextlib import suppress
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -101,19 +102,26 @@ def kernel_modules() -> list[str]:
 
 @cache
 def _mark() -> str:
-    return f"{COMPLETE}{sysconfig.get_python_version()}-{_digest(kernel_modules())}"
+    return f"{COMPLETE}{sysconfig.get_python_version()}-{_digest(kernel_modules())}-"
 
 
-def is_complete() -> bool:
-    """Tell whether a painting was measured with this very code before, so that nothing is to be compiled."""
-    return any((folder / _mark()).exists() for folder in folders())
+def is_complete(solver: str) -> bool:
+    """Tell whether a painting was measured before with this very code, so that nothing is to be compiled.
+
+    Parameters
+    ----------
+    solver : str
+        Name of the normal solver: each has loops of its own.
+    """
+    return any((folder / f"{_mark()}{solver}").exists() for folder in folders())
 
 
-def set_complete() -> None:
-    """Remember that everything that the measurement of a painting needs is compiled."""
+def set_complete(solver: str) -> None:
+    """Remember that everything is compiled that the measurement of a painting with a solver needs."""
     folder = writable_folder()
-    if folder is not None and not is_complete():
-        (folder / _mark()).touch()
+    if folder is not None and not is_complete(solver):
+        with suppress(OSError):
+            (folder / f"{_mark()}{solver}").touch()
 
 
 def install() -> Path | None:
@@ -139,11 +147,11 @@ def install() -> Path | None:
     for old in INSTALLED.iterdir():
         if old.is_dir() and old.name not in current:
             shutil.rmtree(old, ignore_errors=True)
-        elif old.name.startswith(COMPLETE) and old.name != _mark():
+        elif old.name.startswith(COMPLETE) and not old.name.startswith(_mark()):
             old.unlink(missing_ok=True)
     for name in current:
         if (source / name).is_dir():
             shutil.copytree(source / name, INSTALLED / name, dirs_exist_ok=True)
-    if (source / _mark()).exists():
-        (INSTALLED / _mark()).touch()
+    for mark in source.glob(f"{_mark()}*"):
+        (INSTALLED / mark.name).touch()
     return INSTALLED

@@ -12,6 +12,7 @@ import typer
 from nlights_core import __version__
 from nlights_core.errors import NlightsError
 from nlights_flows.commands import compare as compare_command
+from nlights_flows.commands import doctor as doctor_command
 from nlights_flows.commands import nightly as nightly_command
 from nlights_flows.commands import plugins as plugin_commands
 from nlights_flows.commands import tolerance as tolerance_command
@@ -289,6 +290,7 @@ compare_command.register(app)
 nightly_command.register(app)
 plugin_commands.register(app)
 tolerance_command.register(app)
+doctor_command.register(app)
 
 
 def main() -> None:

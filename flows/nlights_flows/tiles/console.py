@@ -12,17 +12,21 @@ from types import TracebackType
 from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from nlights_core.capture import Tile
 from nlights_core.errors import CaptureError
+from nlights_core.machine import compilation
+from nlights_core.machine.compilation import Compilation
 from nlights_core.recipe import Recipe
 from nlights_core.registry import Registry
 from nlights_flows.tiles.chain import steps
 from nlights_flows.tiles.checking import Finding
 from nlights_flows.tiles.planning import Step
 from nlights_flows.tiles.running import Outcome
+
+COMPILING = "compiling loops, once per machine"
 
 console = Console(highlight=False, soft_wrap=False)
 
@@ -44,6 +48,18 @@ def progress_bar(what: str) -> Iterator[Callable[[float], None]]:
         yield lambda share: progress.update(task, completed=share)
 
 
+@contextmanager
+def compiling_bar() -> Iterator[Callable[[float, int], None]]:
+    """Show how far compiling is; yields a function to tell the share done and how many loops were compiled."""
+    with Progress(*_columns(), console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task("compiling loops, once per machine", total=1.0)
+
+        def tell(share: float, count: int) -> None:
+            progress.update(task, completed=share, description=f"{COMPILING}: {count}")
+
+        yield tell
+
+
 class TileProgress:
     """Progress over tiles and their stages: bars on a terminal, one line per stage elsewhere."""
 
@@ -53,16 +69,32 @@ class TileProgress:
         self._live = sys.stderr.isatty()
         self._all = self._progress.add_task(f"tile 1 of {self._tiles}", total=self._steps * self._tiles)
         self._stage = self._progress.add_task("", total=1.0)
+        self._compiling: TaskID | None = None
         self._done, self._started, self._ended = 0.0, 0.0, 0
+        self._listening = compilation.told(self._compiles)
 
     def __enter__(self) -> TileProgress:
         if self._live:
             self._progress.start()
+        self._listening.__enter__()
         return self
+
+    def _compiles(self, so_far: Compilation) -> None:
+        """Say why the first painting takes longer."""
+        if self._compiling is None:
+            self._compiling = self._progress.add_task(COMPILING, total=None)
+            if not self._live:
+                print(
+                    f"{COMPILING} (`nlights doctor --warm` does it beforehand)", file=sys.stderr, flush=True
+                )
+        self._progress.update(self._compiling, description=f"{COMPILING}: {len(so_far.names)}")
+        if so_far.lost:
+            complain(f"{so_far.lost}: cannot be written, so the loops are compiled again the next time")
 
     def __exit__(
         self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self._listening.__exit__(kind, fault, trace)
         if self._live:
             self._progress.stop()
 
@@ -109,6 +141,16 @@ def warnings_of(outcome: Outcome) -> list[str]:
     if path is None or not path.is_file():
         return []
     return [row["warning"] for row in json.loads(path.read_text(encoding="utf-8")) if row.get("warning")]
+
+
+def show_facts(facts: Sequence[tuple[str, str]]) -> None:
+    """Print facts below each other."""
+    table = Table(box=None, pad_edge=False, show_header=False)
+    table.add_column(no_wrap=True)
+    table.add_column(overflow="fold")
+    for name, fact in facts:
+        table.add_row(name, fact)
+    _wide().print(table)
 
 
 def show_plan(tile: Tile, plan: Sequence[Step]) -> None:

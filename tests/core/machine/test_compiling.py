@@ -15,7 +15,10 @@ from nlights_core.machine.kernel_cache import kernel_modules, place_of
 CORE = sources.CORE
 
 USE = """
+import pathlib, sys
 import numpy as np
+from nlights_core.machine import kernel_cache
+kernel_cache.INSTALLED = pathlib.Path(sys.argv[1])
 from nlights_core.files.reduction import block_means
 from nlights_core.machine import compilation
 assert (block_means(np.ones((4, 4), np.float32), 2) == 1).all()
@@ -54,12 +57,14 @@ def test_loops_without_a_way_in_are_called_by_loops_only():
                 assert (modules.get(node.value.id), node.attr) not in inner, f"{path}: {node.attr}"
 
 
-def use(folder: Path, core: Path = CORE, **environment: str) -> tuple[int, str]:
+def use(folder: Path, core: Path = CORE, installed: str = "/nowhere/compiled") -> tuple[int, str]:
     """Call a compiled loop in a process of its own: how many it compiled, and the folder that was lost."""
     path = os.pathsep.join([str(core.parent), str(CORE.parent / "plugins"), str(CORE.parent / "flows")])
-    own = os.environ | {"PYTHONPATH": path, "XDG_CACHE_HOME": str(folder)} | environment
+    own = os.environ | {"PYTHONPATH": path, "XDG_CACHE_HOME": str(folder)}
     own.pop("NUMBA_CACHE_DIR", None)
-    done = subprocess.run([sys.executable, "-c", USE], env=own, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", USE, installed], env=own, capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stderr
     count, lost = done.stdout.split()
     return int(count), lost
@@ -69,8 +74,6 @@ def use(folder: Path, core: Path = CORE, **environment: str) -> tuple[int, str]:
 def prepared(tmp_path_factory):
     """A user's folder in which one loop is compiled already."""
     folder = tmp_path_factory.mktemp("cache")
-    if kernel_cache.INSTALLED.is_dir():
-        pytest.skip("the loops are in the installation, where every process finds them")
     assert use(folder)[0] == 1
     return folder
 
@@ -115,9 +118,26 @@ def test_without_a_home_it_still_runs(tmp_path):
     """As an account of a service that has none; what it compiles is not kept."""
     blocked = tmp_path / "file"
     blocked.write_text("")
-    if os.access(Path(sys.prefix) / "share", os.W_OK):
-        pytest.skip("this account can write into the installation, where it is kept then")
-    assert use(blocked)[0] <= 1
+    for _ in range(2):
+        assert use(blocked, installed=str(blocked / "compiled"))[0] == 1
+
+
+def test_what_is_in_the_installation_serves_an_account_without_a_home(prepared, tmp_path):
+    blocked = tmp_path / "file"
+    blocked.write_text("")
+    assert use(blocked, installed=str(prepared / "nlights" / "compiled")) == (0, "None")
+
+
+def test_what_a_user_compiled_is_copied_to_the_installation_and_other_code_is_deleted(
+    prepared, tmp_path, monkeypatch
+):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(prepared / "nlights" / "compiled"))
+    monkeypatch.setattr(kernel_cache, "INSTALLED", tmp_path / "compiled")
+    (tmp_path / "compiled" / "files.compiled_means-0000000000000000").mkdir(parents=True)
+    assert kernel_cache.install() == tmp_path / "compiled"
+    names = [path.name for path in (tmp_path / "compiled").iterdir()]
+    assert names == [place_of("nlights_core.files.compiled_means")]
+    assert use(tmp_path, installed=str(tmp_path / "compiled")) == (0, "None")
 
 
 def test_a_loop_is_found_by_all_that_it_is_made_of_and_nothing_else(tmp_path, monkeypatch):
