@@ -69,7 +69,7 @@ def write_capture(folder: Path, columns: int) -> tuple[int, int]:
 
 
 def _radiance(studio: Studio, lamp: int) -> tuple[Array, ...]:
-    """Artwork and plate under a lamp, (h, w, 3) each; a single black picture for the lamp -1."""
+    """Artwork and flat under a lamp, (h, w, 3) each; a single black picture for the lamp -1."""
     rows, columns = studio.grid.shape
     if lamp < 0:
         return (np.zeros((rows, columns, 3), np.float32),)
@@ -83,8 +83,8 @@ def _radiance(studio: Studio, lamp: int) -> tuple[Array, ...]:
     )
     for start in range(0, rows, 64):
         stop = min(start + 64, rows)
-        for matt, _, plate in only.radiance(start, stop, studio.truth(start, stop)):
-            pictures[0][start:stop], pictures[1][start:stop] = matt, plate
+        for matt, _, flat in only.radiance(start, stop, studio.truth(start, stop)):
+            pictures[0][start:stop], pictures[1][start:stop] = matt, flat
     return pictures
 
 

@@ -26,9 +26,9 @@ from nlights_core.manifest import load_capture
 from nlights_core.near_light.levelling import read_level
 from nlights_core.near_light.overview import Enlarged, block_edge
 from nlights_core.photographs.development import darkroom
+from nlights_core.photographs.flat_fields import read_flat_field
 from nlights_core.photographs.headers import grid_of, survey
 from nlights_core.photographs.noise import read_noise
-from nlights_core.photographs.plates import read_plate
 from nlights_core.registry import installed
 from nlights_core.solving.agreement import AgreementMeter
 from nlights_core.solving.band_solving import SHADOW, solved
@@ -62,8 +62,8 @@ def normals_rate(capture: Path, store: Path, name: str, rounds: int = 3) -> floa
     assert offer is not None
     solver = offer.algorithm()
     own, flats = store / tile.artwork / tile.name, store / tile.artwork / FLATS
-    plate, overview = (
-        next(folder.glob(f"{stage}-*")) for folder, stage in ((flats, "plate"), (own, "overview"))
+    flat_field, overview = (
+        next(folder.glob(f"{stage}-*")) for folder, stage in ((flats, "flat_field"), (own, "overview"))
     )
     lights = next(own.glob("lights-*")) / "lights.json"
     field = LightField.from_record(json.loads(lights.read_text())).stronger(read_level(overview).strengths)
@@ -72,9 +72,9 @@ def normals_rate(capture: Path, store: Path, name: str, rounds: int = 3) -> floa
     found = []
     for _ in range(rounds + 1):
         with tempfile.TemporaryDirectory() as scratch, darkroom(tile, Path(scratch)) as room:
-            room.noise = read_noise(plate) or room.noise
+            room.noise = read_noise(flat_field) or room.noise
             assert rule_of(solver), f"{name} has no kernel"
-            fused = FusedSolver(room, solver, field, read_plate(plate), height, SHADOW, 1.0)
+            fused = FusedSolver(room, solver, field, read_flat_field(flat_field), height, SHADOW, 1.0)
             started = time.monotonic()
             deque(fused.strips(AgreementMeter(room.grid, partial(solved, solver))), 0)
             found.append(shape[0] * shape[1] / 1e6 / (time.monotonic() - started))

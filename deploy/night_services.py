@@ -47,7 +47,7 @@ class Services:
     ----------
     folder : Path
         For data, logs and secrets; what an earlier run left of them is removed.
-    inbox, products, plate : Path
+    inbox, products, flat : Path
         What the deployments are given.
     ui : bool
         Whether the server serves its pages.
@@ -60,7 +60,7 @@ class Services:
         folder: Path,
         inbox: Path,
         products: Path,
-        plate: Path | None = None,
+        flat: Path | None = None,
         *,
         ui: bool = False,
         settings: Mapping[str, str] | None = None,
@@ -86,7 +86,7 @@ class Services:
             "PREFECT_WORKER_QUERY_SECONDS": "2",
             "NLIGHTS_INBOX": str(inbox.resolve()),
             "NLIGHTS_PRODUCTS": str(products.resolve()),
-            "NLIGHTS_PLATE": str((plate or inbox).resolve()),
+            "NLIGHTS_FLAT": str((flat or inbox).resolve()),
             **(settings or {}),
         }
         prefect = str(BIN / "prefect")

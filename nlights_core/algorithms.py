@@ -126,20 +126,20 @@ class LightModel(Algorithm):
 
 
 class ImageDetrend(Algorithm):
-    """What a flat, matt, white plate at z = 0 reads under each lamp."""
+    """What a flat, a matt white board at z = 0, reads under each lamp: the flat field."""
 
     slot: ClassVar[str] = "detrend.images"
 
     @abstractmethod
-    def plate(self, flats: Array | None, lights: LightField, x: Array, y: Array) -> Array:
-        """The plate's reading; the stage divides the images by it.
+    def flat_field(self, flats: Array | None, lights: LightField, x: Array, y: Array) -> Array:
+        """The flat field; the stage divides the images by it.
 
-        The plate varies smoothly, so it is computed on a coarse grid.
+        It varies smoothly, so it is computed on a coarse grid.
 
         Parameters
         ----------
         flats : (L, h, w, C) float32 array or None
-            Photographs of the plate: linear, dark subtracted, divided by the lamps' power,
+            Photographs of the flat: linear, dark subtracted, divided by the lamps' power,
             averaged over blocks; NaN where saturated.  None unless "flats" is among `needs`.
         lights : LightField
             The lamps.
@@ -165,9 +165,9 @@ class NormalSolver(Algorithm):
         Parameters
         ----------
         images : (L, h, w) float32 array
-            Grey, linear, divided by the plate where there is one.
+            Grey, linear, divided by the flat field where there is one.
         lights : (L, h, w, 3) float32 array, or broadcastable to it
-            Direction times irradiance, relative to the plate where there is one: the model is
+            Direction times irradiance, relative to the flat field where there is one: the model is
             ``images = albedo * (lights . normal)``.
         weights : (L, h, w) float32 array
             Weight of each sample's squared residual, in units of `PHOTONS`: the variance of a sample
@@ -183,7 +183,7 @@ class NormalSolver(Algorithm):
 
 
 class NormalDetrend(Algorithm):
-    """The systematic distortion of normals, seen on a flat reference."""
+    """The systematic distortion of normals that a flat shows."""
 
     slot: ClassVar[str] = "detrend.normals"
     needs: ClassVar[tuple[str, ...]] = ("flats",)
@@ -195,7 +195,7 @@ class NormalDetrend(Algorithm):
         Parameters
         ----------
         reference : NormalField
-            Normals of the flat reference, solved like the artwork's.
+            Normals of the flat, solved like the artwork's.
 
         Returns
         -------

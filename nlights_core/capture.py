@@ -74,14 +74,14 @@ class Tile(Record):
         default=None, gt=0, description="edge of a pixel on the artwork, where no stand says it"
     )
     frames: dict[str, Path] = Field(description="one photograph per lamp")
-    flats: dict[str, Path] | None = Field(default=None, description="the white reference, per lamp")
+    flats: dict[str, Path] | None = Field(default=None, description="photographs of a flat, per lamp")
     dark: Path | None = None
     mask: Path | None = Field(default=None, description="image that is not 0 on the artwork")
     spheres: tuple[Sphere, ...] = ()
     lights: GivenLights | None = None
     encoding: Encoding = Encoding()
     sensor: Sensor | None = None
-    white_reflectance: float = Field(default=0.9, gt=0, le=1, description="albedo of the white reference")
+    white_reflectance: float = Field(default=0.9, gt=0, le=1, description="albedo of the flat")
 
     @property
     def lamps(self) -> tuple[str, ...]:

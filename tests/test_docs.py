@@ -8,8 +8,11 @@ from pathlib import Path
 import pytest
 import yaml
 
+from nlights_core import fields, stages
 from nlights_core.algorithms import KINDS
 from nlights_core.manifest import Manifest
+from nlights_core.photographs.flat_fields import FlatField
+from nlights_core.products.writing import WHAT
 from nlights_core.recipe import load_recipe
 from nlights_core.registry import installed
 from nlights_core.stands import Stand
@@ -107,3 +110,40 @@ def test_every_page_is_listed():
     for path in DOCS.glob("*.md"):
         if path.name != "README.md":
             assert f"({path.name})" in listed, path.name
+
+
+def entries() -> list[list[str]]:
+    """Rows of the glossary: term, what it is, unit and frame, what others call it."""
+    rows = [line for line in text("glossary.md").splitlines() if line.startswith("| ")]
+    return [[cell.strip() for cell in row.strip("|").split("|")] for row in rows[1:]]
+
+
+def test_every_slot_kind_field_stage_and_product_is_in_the_glossary():
+    page = "\n".join(f"{what} {unit}" for _, what, unit, _ in entries())
+    for kind in KINDS:
+        assert f"`{kind.slot}`" in page
+        assert f"`{kind.__name__}`" in page
+    kinds_of_field = [
+        name for name, kind in vars(fields).items() if getattr(kind, "__module__", "") == fields.__name__
+    ]
+    assert {"LightField", "NormalField", "HeightMap"} <= set(kinds_of_field)
+    for name in (*kinds_of_field, FlatField.__name__, *stages.__all__, *WHAT):
+        assert f"`{name}`" in page, name
+
+
+def test_the_glossary_is_in_alphabetical_order_and_every_term_has_a_unit():
+    found = entries()
+    assert all(len(entry) == 4 and all(entry) for entry in found)
+    terms = [entry[0].casefold() for entry in found]
+    assert terms == sorted(set(terms))
+
+
+OTHER_NAMES_OF_A_FLAT = r"\bplates?\b|white\s+reference|flat\s+reference"
+
+
+@pytest.mark.parametrize("path", [ROOT / "README.md", *DOCS.rglob("*.md")], ids=lambda path: path.name)
+def test_a_flat_is_called_a_flat(path):
+    if path.name == "glossary.md":
+        pytest.skip("it says what others call it")
+    words = path.read_text(encoding="utf-8")
+    assert not re.findall(OTHER_NAMES_OF_A_FLAT, words, flags=re.IGNORECASE)

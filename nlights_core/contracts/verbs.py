@@ -28,9 +28,9 @@ from nlights_core.capture import Tile
 from nlights_core.contracts.verification import (
     check_slopes,
     checked_bias,
+    checked_flat_field,
     checked_height,
     checked_lights,
-    checked_plate,
     checked_solution,
     checked_trend,
     refusal,
@@ -55,10 +55,10 @@ def locate(model: LightModel, tile: Tile, read: Read) -> LightField:
     return checked_lights(model, found, tile)
 
 
-def plate(
+def flat_field(
     detrend: ImageDetrend, flats: Array | None, lights: LightField, x: Array, y: Array, channels: int
 ) -> Array:
-    """Ask an image detrend; see `nlights_core.algorithms.ImageDetrend.plate`.
+    """Ask an image detrend; see `nlights_core.algorithms.ImageDetrend.flat_field`.
 
     Parameters
     ----------
@@ -75,8 +75,8 @@ def plate(
         As for `locate`.
     """
     with named(detrend):
-        found = detrend.plate(lent(flats), lent(lights), lent(x), lent(y))
-    return checked_plate(detrend, found, (len(lights.lamps), len(y), len(x)), channels)
+        found = detrend.flat_field(lent(flats), lent(lights), lent(x), lent(y))
+    return checked_flat_field(detrend, found, (len(lights.lamps), len(y), len(x)), channels)
 
 
 def solve(solver: NormalSolver, images: Array, lights: Array, weights: Array) -> Solution:

@@ -208,7 +208,7 @@ def checked_lights(algorithm: Algorithm, value: Any, tile: Tile) -> LightField:
     return value
 
 
-def checked_plate(algorithm: Algorithm, value: Any, shape: tuple[int, int, int], channels: int) -> Array:
+def checked_flat_field(algorithm: Algorithm, value: Any, shape: tuple[int, int, int], channels: int) -> Array:
     """What an image detrend returned, (L, h, w, C) or (L, h, w, 1) float32.
 
     Raises
@@ -217,10 +217,10 @@ def checked_plate(algorithm: Algorithm, value: Any, shape: tuple[int, int, int],
         When it is of another shape, negative or infinite.  0 counts as not known.
     """
     depth = value.shape[-1] if isinstance(value, np.ndarray) and value.ndim == 4 else channels
-    reading = checked_array(algorithm, "the plate", value, (*shape, 1 if depth == 1 else channels))
+    reading = checked_array(algorithm, "the flat field", value, (*shape, 1 if depth == 1 else channels))
     wrong = (reading < 0) | np.isinf(reading)
     if wrong.any():
-        raise refusal(algorithm, f"should return a positive plate; got {reading[wrong][0]:.4g}")
+        raise refusal(algorithm, f"should return a positive flat field; got {reading[wrong][0]:.4g}")
     return reading
 
 

@@ -20,7 +20,7 @@ from nlights_core.lamps.lobes import UNKNOWNS, Readings, fitted, lens_terms, opt
 from nlights_core.stands import Stand
 
 LINEAR_MM = 20.0
-"""How freely positions move while it is studied what the plate says about them."""
+"""How freely positions move while it is studied what the flats say about them."""
 WORST_CONDITION = 100.0
 """Of the lights of a pixel whose flatness is looked at."""
 FALSE_ALARM = 0.001
@@ -75,7 +75,7 @@ def fit_emission(reading: Array, stand: Stand, lamps: tuple[str, ...], x: Array,
     Parameters
     ----------
     reading : (L, h, w, C) array
-        Photographs of the flat plate, as `nlights_core.algorithms.ImageDetrend.plate` gets them:
+        Photographs of the flat, as `nlights_core.algorithms.ImageDetrend.flat_field` gets them:
         linear, dark subtracted, block means; NaN where saturated.
     stand : Stand
         Positions, their uncertainty, and the exponent to start from.
@@ -158,8 +158,8 @@ def _pulls(shifts: Array, covariance: Array, stated: float) -> tuple[Array, Arra
     return pulls, np.array(odds) > chdtri(3, FALSE_ALARM / len(pulls))
 
 
-def plate(emission: Emission, stand: Stand, x: Array, y: Array) -> Array:
-    """What the fitted lamps and lens make of a flat white plate, up to one factor for all lamps.
+def computed_flat_field(emission: Emission, stand: Stand, x: Array, y: Array) -> Array:
+    """The flat field that the fitted lamps and lens make, up to one factor for all lamps.
 
     Parameters
     ----------
@@ -180,11 +180,11 @@ def plate(emission: Emission, stand: Stand, x: Array, y: Array) -> Array:
     return np.asarray((light * seen)[..., None], np.float32)
 
 
-def plate_fit(reading: Array, emission: Emission, stand: Stand, x: Array, y: Array) -> tuple[float, float]:
+def flat_fit(reading: Array, emission: Emission, stand: Stand, x: Array, y: Array) -> tuple[float, float]:
     """How flat the flat comes out when its lamps are computed instead of photographed.
 
-    The flats are divided by `plate` and measured as an artwork would be.  What is left is what
-    stand file and fitted emission get wrong together, and what is not flat about the plate.
+    The flats are divided by `computed_flat_field` and measured as an artwork would be.  What is left is
+    what stand file and fitted emission get wrong together, and what is not plane about the flat.
 
     Parameters
     ----------
@@ -199,7 +199,7 @@ def plate_fit(reading: Array, emission: Emission, stand: Stand, x: Array, y: Arr
     peak_to_valley, rms : float
         Of the height less its best plane, micrometres; NaN where nothing could be measured.
     """
-    images = np.mean(reading / plate(emission, stand, x, y), axis=-1)
+    images = np.mean(reading / computed_flat_field(emission, stand, x, y), axis=-1)
     points = np.stack([*np.meshgrid(x, y), np.zeros((len(y), len(x)))])
     light = emission.lights.vectors(points)
     light = light / light[..., 2:]
@@ -219,7 +219,7 @@ def plate_fit(reading: Array, emission: Emission, stand: Stand, x: Array, y: Arr
 
 def _scaled_normals(images: Array, light: Array) -> Array:
     """Normals times albedo of a few pixels (h, w, 3) by least squares, NaN where badly conditioned."""
-    # Apart from `nlights_core.solving.least_squares`, so that a plate's artefact does not rest on the normal solvers.
+    # Apart from `nlights_core.solving.least_squares`, so that the artefact of a flat field rests on no normal solver.
     known = np.isfinite(images)
     matrix = np.einsum("lhw,lhwi,lhwj->hwij", known.astype(np.float64), light, light)
     right = np.einsum("lhw,lhwi->hwi", np.where(known, images, 0), light)
@@ -249,15 +249,15 @@ def _variance_component(shifts: Array, covariance: Array, stated: float) -> tupl
 
 
 @dataclass(frozen=True)
-class FlatCheck:
-    """Whether photographs of a flat fit the stand's file, in a few numbers.
+class StandCheck:
+    """Whether the stand's file fits the flats, in a few numbers.
 
     Attributes
     ----------
     residual : float
         Rms share by which the flats depart from ideal lamps at the stand's positions.
     peak_to_valley, rms : float or None
-        The flat's own height, measured with computed lamps, micrometres (`plate_fit`); None where
+        The flat's own height, measured with computed lamps, micrometres (`flat_fit`); None where
         it could not be measured.
     resolution, doubt, likely_mm, suspects, fits
         See `Emission`.
@@ -273,12 +273,12 @@ class FlatCheck:
     fits: bool
 
 
-def check_flat(reading: Array, stand: Stand, lamps: tuple[str, ...], x: Array, y: Array) -> FlatCheck:
-    """Check photographs of a flat against the stand's file; see `fit_emission` for the arguments."""
+def check_stand(reading: Array, stand: Stand, lamps: tuple[str, ...], x: Array, y: Array) -> StandCheck:
+    """Check the stand's file against the flats; see `fit_emission` for the arguments."""
     found = fit_emission(reading, stand, lamps, x, y)
-    peak_to_valley, rms = plate_fit(reading, found, stand, x, y)
+    peak_to_valley, rms = flat_fit(reading, found, stand, x, y)
     known = bool(np.isfinite(rms))
-    return FlatCheck(
+    return StandCheck(
         found.residual,
         peak_to_valley if known else None,
         rms if known else None,
@@ -290,15 +290,15 @@ def check_flat(reading: Array, stand: Stand, lamps: tuple[str, ...], x: Array, y
     )
 
 
-def write_flat_check(folder: Path, check: FlatCheck) -> None:
-    """Write ``flat_check.json``."""
-    (folder / "flat_check.json").write_text(json.dumps(asdict(check), indent=1) + "\n", encoding="utf-8")
+def write_stand_check(folder: Path, check: StandCheck) -> None:
+    """Write ``stand_check.json``."""
+    (folder / "stand_check.json").write_text(json.dumps(asdict(check), indent=1) + "\n", encoding="utf-8")
 
 
-def read_flat_check(folder: Path) -> FlatCheck | None:
-    """Read what `write_flat_check` wrote; None where it wrote nothing."""
-    path = folder / "flat_check.json"
+def read_stand_check(folder: Path) -> StandCheck | None:
+    """Read what `write_stand_check` wrote; None where it wrote nothing."""
+    path = folder / "stand_check.json"
     if not path.is_file():
         return None
     record = json.loads(path.read_text(encoding="utf-8"))
-    return FlatCheck(**{**record, "suspects": tuple(record["suspects"])})
+    return StandCheck(**{**record, "suspects": tuple(record["suspects"])})

@@ -131,7 +131,7 @@ def _readings(images: Array, lights: LightField, x: Array, y: Array) -> Readings
     if np.count_nonzero(known) < LEAST_BLOCKS:
         raise TileError(
             f"refine: only {np.count_nonzero(known)} blocks of the photographs are lit by all lamps and "
-            f"{LEAST_BLOCKS} are needed; set 'refine: false' or photograph a flat reference"
+            f"{LEAST_BLOCKS} are needed; set 'refine: false' or photograph a flat"
         )
     points = np.stack([*np.meshgrid(x, y), np.zeros((len(y), len(x)))], axis=-1).reshape(-1, 3)[known]
     first = np.cross([0.0, 0.0, 1.0], lights.axes)

@@ -1,6 +1,6 @@
-"""The light that a lamp throws on a flat matt plate: its logarithm, and the fit of its unknowns.
+"""The light that a lamp throws on a flat: its logarithm, and the fit of its unknowns.
 
-At the distance d of a point P a lamp at S makes the plate read
+At the distance d of a point P a lamp at S makes the flat read
 
     log F = log power + mu log(w.a) + sum of c_k B_k(w) + log S_z - 3 log d + V
 
@@ -31,12 +31,12 @@ ROUND_DEVIATION = 0.05
 VIGNETTING_DEVIATION = 0.1
 """Share of the light in the corners by which a lens departs from cos^4, per term."""
 LEAST_RESIDUAL = 0.001
-"""The white of a plate is not more even than this, over distances that lobes cannot follow."""
+"""The white of a flat is not more even than this, over distances that lobes cannot follow."""
 INDEPENDENT = 300
-"""As how many independent readings a lamp's plate counts: its unevenness is shared by neighbours."""
+"""As how many independent readings a lamp's flat counts: its unevenness is shared by neighbours."""
 
 SAMPLES = 40
-"""Samples across that the plate is reduced to, by medians, so that dirt does not count."""
+"""Samples across that a flat is reduced to, by medians, so that dirt does not count."""
 TUNING = 2.385
 """Cauchy's loss with this times the spread keeps 95 % of the efficiency of least squares."""
 ROUNDS = 20
@@ -135,7 +135,7 @@ def reduced(reading: Array, stand: Stand, lamps: tuple[str, ...], x: Array, y: A
         if share < 0.5:
             raise TileError(
                 f"flats: {lamp}: the reading is known on {share:.0%} of the frame only (the rest is saturated "
-                "or black); photograph the flat reference again"
+                "or black); photograph the flat again"
             )
     medians = np.nanmedian(np.where(known[..., None], parts, 0.0), axis=2)
     across = x[: columns * block].reshape(-1, block).mean(axis=1)
@@ -166,7 +166,7 @@ def optical_axes(lamps: Array, data: Readings) -> Array:
 
 
 def predicted(lamps: Array, data: Readings) -> Array:
-    """Logarithm of the plate, (L, N), without the lens.
+    """Logarithm of the flat field, (L, N), without the lens.
 
     ``lamps`` is that of `LobeFit`.
     """

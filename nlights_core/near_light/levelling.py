@@ -1,9 +1,9 @@
 """The free constant of a height, found in the photographs themselves.
 
 Integration leaves the constant free.  It matters: near lamps light a surface 1 mm higher from
-another angle, and its plate is read elsewhere, which bends a relief by some 0.05 mm.  It can
+another angle, and its flat field is read elsewhere, which bends a relief by some 0.05 mm.  It can
 be seen, too: raised by dz, a point is lit along rays that meet the plane somewhere else, where
-each lamp's plate is brighter or darker by an amount that is known.  Eight lamps leave five
+each lamp's flat field is brighter or darker by an amount that is known.  Eight lamps leave five
 equations over, so the right constant is the one at which the photographs agree best.
 
 A lamp that has drifted since the flats were taken would be mistaken for height, so a factor
@@ -26,7 +26,7 @@ from nlights_core.integration.poisson import simchony
 from nlights_core.machine.band_threads import in_order
 from nlights_core.near_light.linearisation import Linearised, Strip, linearised
 from nlights_core.photographs.development import Darkroom
-from nlights_core.photographs.plates import Plate
+from nlights_core.photographs.flat_fields import FlatField
 from nlights_core.solving import least_squares
 
 BLOCKS = 32
@@ -39,7 +39,7 @@ LINES = 16
 """Rows that are looked at, at least: they must show the whole height of the tile."""
 
 INDEPENDENT = 300
-"""As how many independent pixels they count: what is wrong with the plate is wrong for all neighbours
+"""As how many independent pixels they count: what is wrong with the flat field is wrong for all neighbours
 at once, so a million pixels know little more than some hundred."""
 
 GLOSSY = 0.01
@@ -50,7 +50,7 @@ STRENGTH_PRIOR = 0.01
 """Standard deviation of a lamp's drift since the flats were taken."""
 
 STEADY = 0.002
-"""Drifts that smoothing and noise of a plate pretend where there are none: about 0.1 %."""
+"""Drifts that smoothing and noise of a flat field pretend where there are none: about 0.1 %."""
 
 HEIGHT_PRIOR = 5.0
 """Standard deviation of the surface's level about the plane of the flat, mm."""
@@ -103,7 +103,7 @@ def read_level(folder: Path) -> Level:
 
 
 def level(
-    room: Darkroom, lights: LightField, plate: Plate, height: Array, assumed: Array | None = None
+    room: Darkroom, lights: LightField, flat_field: FlatField, height: Array, assumed: Array | None = None
 ) -> Level:
     """Find the constant at which the photographs agree best.
 
@@ -113,8 +113,8 @@ def level(
         The open photographs of a tile.
     lights : LightField
         Near lamps.
-    plate : Plate
-        What a flat plate reads.
+    flat_field : FlatField
+        What a flat reads.
     height : (H, W) array
         Height up to a constant, mm.
     assumed : (L,) array, optional
@@ -132,7 +132,7 @@ def level(
     many the surface is glossy, and nothing is found: gloss must not be taken for height.
     """
     rows = _sample_rows(room)
-    bends = _bends(room.grid, lights, plate)
+    bends = _bends(room.grid, lights, flat_field)
     strips = [
         Strip(
             room.raw(*lines, lights), np.asarray(height[slice(*lines)]), _enlarged(bends, room.grid, *lines)
@@ -147,7 +147,7 @@ def level(
     reach = lowest / 4
     information = prior
     for _ in range(ROUNDS):
-        matrix, right, pixels = _equations(room, lights, plate, strips, offset, logarithms, before)
+        matrix, right, pixels = _equations(room, lights, flat_field, strips, offset, logarithms, before)
         if pixels < INDEPENDENT:
             return Level(0.0, None, np.ones(count))
         share = min(1.0, INDEPENDENT / pixels)
@@ -207,7 +207,7 @@ def _sample_rows(room: Darkroom) -> list[tuple[int, int]]:
 def _equations(
     room: Darkroom,
     lights: LightField,
-    plate: Plate,
+    flat_field: FlatField,
     strips: Sequence[Strip],
     offset: float,
     logarithms: Array,
@@ -219,7 +219,7 @@ def _equations(
     """
 
     def at_present(strip: Strip) -> Linearised:
-        return linearised(room, lights, plate, strip, offset, logarithms, before)
+        return linearised(room, lights, flat_field, strip, offset, logarithms, before)
 
     parts = list(in_order(at_present, strips))
     size = len(lights.lamps) + 1
@@ -247,7 +247,7 @@ def _equations(
     return matrix, right, pixels
 
 
-def _bends(grid: PixelGrid, lights: LightField, plate: Plate) -> Array:
+def _bends(grid: PixelGrid, lights: LightField, flat_field: FlatField) -> Array:
     """By how much a flat surface seems to bend when a lamp becomes stronger, on a coarse grid.
 
     Returns
@@ -260,7 +260,7 @@ def _bends(grid: PixelGrid, lights: LightField, plate: Plate) -> Array:
     points = coarse.points(0, coarse.rows)
     rays = lights.vectors(points).astype(np.float64)
     rays = np.broadcast_to(rays / rays[..., 2:], (len(lights.lamps), *coarse.shape, 3))
-    weights = np.stack([plate.at(i, points[0], points[1]).mean(axis=-1) for i in range(len(rays))])
+    weights = np.stack([flat_field.at(i, points[0], points[1]).mean(axis=-1) for i in range(len(rays))])
     inverse = least_squares.fit(np.ones(weights.shape), rays, weights, np.inf).inverse
     bends = np.empty(weights.shape)
     for i, (ray, weight) in enumerate(zip(rays, weights, strict=True)):

@@ -15,7 +15,7 @@ from nlights_core.fields import LightField
 from nlights_core.frames import Array
 from nlights_core.machine.kernel_switch import available
 from nlights_core.photographs.development import Darkroom, Raw
-from nlights_core.photographs.plates import Plate
+from nlights_core.photographs.flat_fields import FlatField
 from nlights_core.solving import least_squares
 
 STEP = 0.05
@@ -42,7 +42,7 @@ class Linearised:
     images, weights : (L, N) float64 arrays
         Grey samples, and how much each counts.
     lights : (L, N, 3) float32 array
-        Relative to the plate.
+        Relative to the flat field.
     by_offset : (L, N) float64 array
         By how much its residual grows per mm of offset.
     bends : (L, N) float64 array
@@ -125,7 +125,7 @@ class Linearised:
 def linearised(
     room: Darkroom,
     lights: LightField,
-    plate: Plate,
+    flat_field: FlatField,
     strip: Strip,
     offset: float,
     logarithms: Array,
@@ -135,7 +135,7 @@ def linearised(
 
     Parameters
     ----------
-    room, lights, plate : Darkroom, LightField, Plate
+    room, lights, flat_field : Darkroom, LightField, FlatField
         As for `nlights_core.near_light.levelling.level`.
     strip : Strip
         What is developed.
@@ -151,7 +151,7 @@ def linearised(
     count = len(lights.lamps)
 
     def developed(z: float) -> tuple[Array, Array, Array]:
-        band = room.develop(raw, lights, plate, (height + z).astype(np.float32))
+        band = room.develop(raw, lights, flat_field, (height + z).astype(np.float32))
         weights = np.where(np.isfinite(height), band.weights, 0)
         images = (band.grey * factors).astype(np.float64)
         rays = np.ascontiguousarray(np.broadcast_to(band.lights, (*images.shape, 3)))

@@ -22,8 +22,8 @@ from nlights_core.machine.band_threads import in_order
 from nlights_core.near_light.levelling import Level, level
 from nlights_core.photographs.block_means import block_means
 from nlights_core.photographs.development import BAND_BYTES, Darkroom, Raw, bands
+from nlights_core.photographs.flat_fields import FlatField
 from nlights_core.photographs.noise import Noise
-from nlights_core.photographs.plates import Plate
 from nlights_core.solving.band_solving import solved
 from nlights_core.solving.kernels import TASK, robust_solution
 from nlights_core.solving.least_squares import UsableLights
@@ -108,7 +108,7 @@ class _Solver(UsableLights):
 
 
 def overview(
-    room: ReducedRoom, lights: LightField, plate: Plate | None, passes: int, levels: bool
+    room: ReducedRoom, lights: LightField, flat_field: FlatField | None, passes: int, levels: bool
 ) -> tuple[Array, Level]:
     """Find the height, and what the photographs say of its constant and of the lamps.
 
@@ -119,7 +119,7 @@ def overview(
     ----------
     room : ReducedRoom
         The photographs.
-    lights, plate : LightField, Plate or None
+    lights, flat_field : LightField, FlatField or None
         As for `nlights_core.solving.band_solving.solve`.
     passes : int
         How often.
@@ -142,27 +142,29 @@ def overview(
     found = Level(0.0, None, np.ones(len(lights.lamps)))
     for _ in range(passes):
         lamps = lights.stronger(found.strengths)
-        normals = _normals(room, lamps, plate, height)
+        normals = _normals(room, lamps, flat_field, height)
         if not np.isfinite(normals).any():
             raise TileError(
                 "overview: not a single block has three usable lights; see the mask, the saturation level and "
                 "the frames themselves"
             )
         height = least_squares_height(normals, room.grid, stencil="6-point", steepest_deg=STEEPEST_DEG)
-        if levels and plate is not None:
-            found = level(room, lights, plate, height, found.strengths)
+        if levels and flat_field is not None:
+            found = level(room, lights, flat_field, height, found.strengths)
             height = height + np.float32(found.offset)
     assert height is not None
     return height, found
 
 
-def _normals(room: ReducedRoom, lights: LightField, plate: Plate | None, height: Array | None) -> Array:
+def _normals(
+    room: ReducedRoom, lights: LightField, flat_field: FlatField | None, height: Array | None
+) -> Array:
     """Normals of all blocks, (h, w, 3) float32."""
 
     def of_rows(rows: tuple[int, int]) -> Array:
         raw = room.raw(*rows, lights)
         below = None if height is None else height[slice(*rows)]
-        return solved(_Solver(), room.develop(raw, lights, plate, below)).normals
+        return solved(_Solver(), room.develop(raw, lights, flat_field, below)).normals
 
     # Each core takes as much as a kernel works on at once.
     return np.concatenate(list(in_order(of_rows, bands(room.grid, BAND_BYTES // TASK))))

@@ -61,7 +61,7 @@ def position_uncertainty(
     uncertainty : float
         Standard uncertainty of each coordinate, mm.
     photographed : bool
-        The photographs were divided by those of a flat plate, which holds each lamp's true
+        The photographs were divided by those of a flat, which hold each lamp's true
         irradiance; otherwise the irradiance is computed from the position, and wrong with it.
 
     Returns

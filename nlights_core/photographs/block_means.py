@@ -1,4 +1,4 @@
-"""Photographs averaged over blocks of pixels: for plates and overviews, which are smooth."""
+"""Photographs averaged over blocks of pixels: for flat fields and overviews, which are smooth."""
 
 from __future__ import annotations
 

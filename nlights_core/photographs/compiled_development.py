@@ -35,14 +35,14 @@ from nlights_core.photographs.strips import Blocks, Optics, Strip
 SATURATED, SHADOWED, COUNTED = 0, BLOCK, 2 * BLOCK
 
 # Of the scratch of a block, in an array (SCRATCH,): the pixel's point, 1 + its distance^2 from the
-# camera's axis over z^2, where it is in its cell of the plate, the exponent that the vignetting adds, the
+# camera's axis over z^2, where it is in its cell of the flat field, the exponent that the vignetting adds, the
 # mask; the number of lights that are saturated; three colours of the dark frame, of the photograph, and of
-# minus the binary logarithm of the plate.
+# minus the binary logarithm of the flat field.
 _X, _Y, _Z, _SEEN, _FURTHER, _RIGHT, _DOWN, _CELL, _LENS, _INSIDE, _LOST = range(0, 11 * BLOCK, BLOCK)
 _DARK, LIGHT, INVERSE, SCRATCH = range(11 * BLOCK, 23 * BLOCK, 3 * BLOCK)
 
 GROUP = 16
-"""Pixels for which the plate is interpolated together; seldom are they in more than two of its cells."""
+"""Pixels for which the flat field is interpolated together; seldom are they in more than two of its cells."""
 
 _ALL_PHOTONS = np.float32(PHOTONS)
 _THIRD, _FIFTH = np.float32(1 / 3), np.float32(1 / 5)
@@ -113,9 +113,9 @@ def develop(
             here = numbers[i, row, channels * column : channels * (column + size)]
             _read(here, size, optics.scale, optics.lamps[i, 3], of, blocks.totals[i], sample)
             if surface or i == 0:
-                _meet(positions[i], near, optics.place, optics.plate_shape, optics.lens, of)
+                _meet(positions[i], near, optics.place, optics.flat_field_shape, optics.lens, of)
             _aim(positions[i], near, of, sample)
-            _interpolate(optics.plate[i], of)
+            _interpolate(optics.flat_field[i], of)
             _divide(optics.lamps[i], optics.limits[0], of, sample, blocks.colours[block, i])
         copy(of[_LOST:], counts[SATURATED : SATURATED + BLOCK])
         _weigh(blocks.samples[block], optics.limits[1], counts, shadow, lit, of)
@@ -123,12 +123,12 @@ def develop(
 
 @kernel
 def cells(values: Array, columns: int, found: Array) -> None:
-    """What `Optics.plate` is.
+    """What `Optics.flat_field` is.
 
     Parameters
     ----------
     values : (L, H W, C) float32 array
-        Minus the binary logarithm of the plate's reading; of one channel or three.
+        Minus the binary logarithm of the flat field; of one channel or three.
     columns : int
         W.
     found : (L, H W, 12) float32 array
@@ -231,7 +231,7 @@ def _meet(
     lens: Array,
     of: Array,
 ) -> None:
-    """Where a lamp's ray meets the plane, as a cell of the plate and a place in it; the vignetting."""
+    """Where a lamp's ray meets the plane, as a cell of the flat field and a place in it; the vignetting."""
     sx, sy, sz = position
     left, top, per_step = place[0], place[1], ONE / place[2]
     most_right, most_down = np.float32(shape[1] - 1), np.float32(shape[0] - 1)
@@ -243,7 +243,7 @@ def _meet(
         x = of[_X + p] + (of[_X + p] - sx) * further
         y = of[_Y + p] + (of[_Y + p] - sy) * further
         right, down = (x - left) * per_step, (top - y) * per_step
-        # Written so that even what is no number stays within the plate.
+        # Written so that even what is no number stays within the flat field.
         right = min(right if right > ZERO else ZERO, most_right)
         down = min(down if down > ZERO else ZERO, most_down)
         column, row = min(np.floor(right), most_right - ONE), min(np.floor(down), most_down - ONE)
@@ -259,7 +259,7 @@ def _meet(
 
 @inner
 def _aim(position: Array, near: np.float32, of: Array, sample: Array) -> None:
-    """Light relative to the plate, ``ray (S_z / (S_z - z))^3 / S_z`` (numerics, section 1)."""
+    """Light relative to the flat field, ``ray (S_z / (S_z - z))^3 / S_z`` (numerics, section 1)."""
     sx, sy, sz = position
     if near == ZERO:
         for p in range(BLOCK):
@@ -277,7 +277,7 @@ def _aim(position: Array, near: np.float32, of: Array, sample: Array) -> None:
 
 @inner
 def _interpolate(cells: Array, of: Array) -> None:
-    """Minus the binary logarithm of the plate's reading, without the vignetting.
+    """Minus the binary logarithm of the flat field, without the vignetting.
 
     Group by group, every cell that its pixels lie in is evaluated for all of them, and each takes
     its own: that is cheaper than looking the cell up for every pixel.
@@ -309,7 +309,7 @@ def _interpolate(cells: Array, of: Array) -> None:
 
 @numba.njit(inline="always")
 def _bilinear(cell: Array, at: int, right: Any, down: Any) -> Any:
-    """One colour of a cell of the plate: value at its first corner, slopes to the right and downwards, twist."""
+    """One colour of a cell of the flat field: value at its first corner, slopes to the right and downwards, twist."""
     return cell[at] + right * cell[at + 1] + down * (cell[at + 2] + right * cell[at + 3])
 
 
@@ -324,7 +324,7 @@ def _power_of_two(exponent: Any) -> Any:
 
 @inner
 def _divide(lamp: Array, most: np.float32, of: Array, sample: Array, colours: Array) -> None:
-    """Divide by power and plate; mix grey; the variance by photons, 0 where not usable."""
+    """Divide by power and flat field; mix grey; the variance by photons, 0 where not usable."""
     red_power, green_power, blue_power = lamp[0]
     red_share, green_share, blue_share = lamp[1]
     red_noise, green_noise, blue_noise = lamp[2]

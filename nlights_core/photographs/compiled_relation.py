@@ -1,4 +1,4 @@
-"""Compiled relation of reduced photographs to the plate, and their light.
+"""Compiled relation of reduced photographs to the flat field, and their light.
 
 What `nlights_core.photographs.development` says in numpy, pixel after pixel, with the same results up to rounding.
 Import this only where it is used: Numba takes half a second.
@@ -18,7 +18,7 @@ from nlights_core.machine.compiling import kernel
 def relate(
     points: Array,
     position: Array,
-    plate: Array,
+    flat_field: Array,
     place: Array,
     lens: Array,
     seen: Array,
@@ -28,7 +28,7 @@ def relate(
     weights: Array,
     lights: Array,
 ) -> None:
-    """Divide a near lamp's image by the plate and weigh it, in place; give its light relative to the plate.
+    """Divide a near lamp's image by the flat field and weigh it, in place; give its light relative to the flat field.
 
     Parameters
     ----------
@@ -36,25 +36,25 @@ def relate(
         Of the surface, mm.
     position : (3,) float64 array
         The lamp's, mm.
-    plate : (H, W, C) float32 array
-        Logarithm of its plate's reading.
+    flat_field : (H, W, C) float32 array
+        Logarithm of its flat field.
     place, lens : (3,) and (4,) float64 arrays
-        Left, top and step of the plate's samples, mm; x, y and z^-2 of the camera that saw it, and its
-        vignetting.
+        Left, top and step of the flat field's samples, mm; x, y and z^-2 of the camera that saw the
+        flat, and its vignetting.
     seen : (h, w) or (0, 0) float32 array
         1 + the square of the tangent at which the camera sees the pixels; of no size: the surface is the
         plane.
     photons : (C,) float64 array
         Variance by photons per inverse reading.
     least : float
-        Readings of the plate below are not usable.
+        Readings of the flat below are not usable.
     images : (h, w, C) float32 array
     weights : (h, w) float32 array
     lights : (h, w, 3) float32 array
         Receives ``ray (S_z / (S_z - z))^3 / S_z`` (numerics, section 1): power, emission and fall-off cancel.
     """
     sx, sy, sz = position[0], position[1], position[2]
-    down, right, channels = plate.shape
+    down, right, channels = flat_field.shape
     reading = np.empty(channels, np.float32)
     for i in range(points.shape[1]):
         for j in range(points.shape[2]):
@@ -75,8 +75,8 @@ def relate(
                 dimmed = lens[3] * -2 * math.log(seen[i, j] / met)
             usable, variance = True, 0.0
             for c in range(channels):
-                first = plate[above, left, c] * (1 - s) + plate[above, after, c] * s
-                second = plate[below, left, c] * (1 - s) + plate[below, after, c] * s
+                first = flat_field[above, left, c] * (1 - s) + flat_field[above, after, c] * s
+                second = flat_field[below, left, c] * (1 - s) + flat_field[below, after, c] * s
                 value = math.exp(np.float32(first * (1 - t) + second * t + dimmed))
                 usable = usable and value > least and value < np.inf
                 reading[c] = value

@@ -1,4 +1,4 @@
-"""Development: photographs of a tile become bands of linear, dark-free, plate-relative images."""
+"""Development: photographs of a tile become bands of linear, dark-free images relative to the flat field."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from nlights_core.frames import Array, PixelGrid
 from nlights_core.machine.band_threads import in_order
 from nlights_core.machine.kernel_switch import available
 from nlights_core.memory import band_memory
+from nlights_core.photographs.flat_fields import FlatField
 from nlights_core.photographs.headers import grid_of, survey
 from nlights_core.photographs.images import EYE, ImageInfo, Photograph, grey, is_saturated
 from nlights_core.photographs.noise import Noise, measure_noise
-from nlights_core.photographs.plates import Plate
 
 BAND_BYTES = 64 << 20
 """About what the images and lights of one band may take, where there is memory for it."""
@@ -125,7 +125,7 @@ class Band:
     start, stop : int
         The rows.
     images : (L, h, w, C) float32
-        Linear, dark subtracted, divided by power and plate.
+        Linear, dark subtracted, divided by power and flat field.
     weights : (L, h, w) float32
         As `nlights_core.algorithms.NormalSolver.solve` wants them; 0 where saturated or outside the
         mask.
@@ -136,7 +136,7 @@ class Band:
     ambient : (L, h, w) float32 or None
         Ambient light in the same units.
     grey : (L, h, w) float32
-        The images without colour: mixed by the plate's shares where there is a plate, which is
+        The images without colour: mixed by the flat field's shares where there is one, which is
         where noise is least, otherwise as the eye does.
     """
 
@@ -172,8 +172,7 @@ class Darkroom:
     def noise(self) -> Noise:
         """The camera's noise: as the capture states it, or measured in these photographs.
 
-        Set it to what the flat reference's photographs said where there are any: they show
-        noise without texture.
+        Set it to what the flats said where there are any: they show noise without texture.
         """
         channels = self.info.channels
         if self.sensor is not None:
@@ -224,7 +223,7 @@ class Darkroom:
         self,
         work: Callable[[Band], Result],
         lights: LightField,
-        plate: Plate | None,
+        flat_field: FlatField | None,
         height: Rows | None = None,
     ) -> Iterator[tuple[Band, Result]]:
         """Develop all bands and work on them, on all cores; then check the exposures.
@@ -235,8 +234,8 @@ class Darkroom:
             What is done with a band, in any thread.
         lights : LightField
             The lamps.
-        plate : Plate, optional
-            What a flat plate reads; the images are divided by it along each lamp's ray.
+        flat_field : FlatField, optional
+            What a flat reads; the images are divided by it along each lamp's ray.
         height : (H, W) array, optional
             Height of the pass before, mm; None: the plane.
 
@@ -253,7 +252,7 @@ class Darkroom:
 
         def worked(raw: Raw) -> tuple[Band, Result]:
             before = None if height is None else height[raw.start : raw.stop]
-            band = self.develop(raw, lights, plate, before)
+            band = self.develop(raw, lights, flat_field, before)
             return band, work(band)
 
         places = bands(self.grid, len(self.photographs) * (self.info.channels * 4 + 24))
@@ -261,14 +260,16 @@ class Darkroom:
         yield from in_order(worked, (self.raw(*place, lights) for place in places))
         self.check()
 
-    def develop(self, raw: Raw, lights: LightField, plate: Plate | None, height: Array | None = None) -> Band:
+    def develop(
+        self, raw: Raw, lights: LightField, flat_field: FlatField | None, height: Array | None = None
+    ) -> Band:
         """Make a band ready for a solver; ``raw`` may be developed again at another height.
 
         Parameters
         ----------
         raw : Raw
             What `raw` read.
-        lights, plate : LightField, Plate or None
+        lights, flat_field : LightField, FlatField or None
             See `bands`.
         height : (h, w) array, optional
             Height of these rows, mm.
@@ -280,23 +281,23 @@ class Darkroom:
             ambient = np.broadcast_to(
                 lights.ambient.astype(np.float32)[:, None, None], images.shape[:3]
             ).copy()
-        if plate is None:
+        if flat_field is None:
             vectors = lights.vectors(points)
             mix = grey_shares(images.shape[-1], None)
-            # Without a plate it is not known where each lamp is bright: all weigh the same.
+            # Without a flat field it is not known where each lamp is bright: all weigh the same.
             weights /= self.noise.photons(lights.power.astype(np.float32), mix).mean()
         else:
             images = images.copy()
-            shares = plate.shares if images.shape[-1] == len(plate.shares) else None
-            mix = grey_shares(images.shape[-1], plate)
+            shares = flat_field.shares if images.shape[-1] == len(flat_field.shares) else None
+            mix = grey_shares(images.shape[-1], flat_field)
             # The lens dims by the pixel, not by where the lamp's ray meets the plane.
             pixels = None if height is None else self.grid.points(raw.start, raw.stop)[:2]
             if lights.near and ambient is None and available():
                 photons = mix**2 * self.noise.gain / lights.power
-                vectors = _related(images, weights, lights, plate, points, pixels, photons)
+                vectors = _related(images, weights, lights, flat_field, points, pixels, photons)
             else:
                 vectors, ambient = _relative(
-                    images, weights, ambient, lights, plate, points, pixels, self.noise, mix
+                    images, weights, ambient, lights, flat_field, points, pixels, self.noise, mix
                 )
         mixed = grey(images, shares)
         self.noise.with_readout(weights, mixed, mix)
@@ -318,10 +319,10 @@ class Darkroom:
             exposure.check(f"{self.subject}.{lamp}", self.paths[lamp])
 
 
-def grey_shares(channels: int, plate: Plate | None) -> Array:
-    """Share of each channel in the grey that a solver sees, (C,) float32: the plate's, or else the eye's."""
-    if plate is not None and len(plate.shares) == channels:
-        return np.asarray(plate.shares, np.float32)
+def grey_shares(channels: int, flat_field: FlatField | None) -> Array:
+    """Share of each channel in the grey that a solver sees, (C,) float32: the flat field's, or else the eye's."""
+    if flat_field is not None and len(flat_field.shares) == channels:
+        return np.asarray(flat_field.shares, np.float32)
     return np.asarray(EYE if channels > 1 else np.ones(1), np.float32)
 
 
@@ -330,24 +331,24 @@ def _relative(
     weights: Array,
     ambient: Array | None,
     lights: LightField,
-    plate: Plate,
+    flat_field: FlatField,
     points: Array,
     pixels: Array | None,
     noise: Noise,
     mix: Array,
 ) -> tuple[Array, Array | None]:
-    """Divide images by the plate and weigh them, in place; make the lights relative to it.
+    """Divide images by the flat field and weigh them, in place; make the lights relative to it.
 
-    The plate is read where each lamp's ray through a point meets the plane (numerics, section
+    The flat field is read where each lamp's ray through a point meets the plane (numerics, section
     1): power, emission and fall-off cancel there, and only geometry is left.
     """
     vectors, origins = lights.vectors(points), lights.plane_points(points)
     relative = np.empty((len(images), *points.shape[1:], 3), np.float32)
     for i, power in enumerate(lights.power.astype(np.float32)):
         x, y = origins[i if len(origins) > 1 else 0]
-        reading = plate.at(i, x, y, pixels)
-        # A plate that is not known, or nearly dark, leaves the sample unknown.
-        usable: Array = np.all(np.isfinite(reading) & (reading > 1e-6 * plate.brightest), axis=-1)
+        reading = flat_field.at(i, x, y, pixels)
+        # A flat field that is not known, or nearly dark, leaves the sample unknown.
+        usable: Array = np.all(np.isfinite(reading) & (reading > 1e-6 * flat_field.brightest), axis=-1)
         reading = np.where(usable[..., None], reading, np.float32(1))
         images[i] /= reading
         weights[i] *= np.where(usable, 1 / noise.photons(reading * power, mix), np.float32(0))
@@ -365,7 +366,7 @@ def _related(
     images: Array,
     weights: Array,
     lights: LightField,
-    plate: Plate,
+    flat_field: FlatField,
     points: Array,
     pixels: Array | None,
     photons: Array,
@@ -376,14 +377,14 @@ def _related(
     assert lights.positions is not None
     relative = np.empty((len(images), *points.shape[1:], 3), np.float32)
     seen, lens = np.empty((0, 0), np.float32), np.zeros(4)
-    if pixels is not None and plate.camera is not None:
-        x, y, z = plate.camera
-        lens = np.array([x, y, z**-2, plate.vignetting])
+    if pixels is not None and flat_field.camera is not None:
+        x, y, z = flat_field.camera
+        lens = np.array([x, y, z**-2, flat_field.vignetting])
         seen = 1 + ((pixels[0] - np.float32(x)) ** 2 + (pixels[1] - np.float32(y)) ** 2) * np.float32(z**-2)
-    place, least = np.array([plate.left, plate.top, plate.step]), 1e-6 * plate.brightest
+    place, least = np.array([flat_field.left, flat_field.top, flat_field.step]), 1e-6 * flat_field.brightest
     for i, position in enumerate(lights.positions):
-        # A computed plate has one channel, whatever the photographs have.
-        own = np.broadcast_to(plate.logarithm[i], (*plate.logarithm.shape[1:3], images.shape[-1]))
+        # A computed flat field has one channel, whatever the photographs have.
+        own = np.broadcast_to(flat_field.logarithm[i], (*flat_field.logarithm.shape[1:3], images.shape[-1]))
         own = np.require(own, np.float32, ["C", "W"])
         relate(
             points, position, own, place, lens, seen, photons[i], least, images[i], weights[i], relative[i]

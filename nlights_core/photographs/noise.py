@@ -146,7 +146,7 @@ def _smooth(edge: int) -> Array:
 def measure_noise(
     photographs: Collection[Photograph], dark: Photograph | None, *, smooth: bool
 ) -> Noise | None:
-    """Measure the noise in the photographs of a tile or of its flat reference.
+    """Measure the noise in the photographs of a tile or of its flat.
 
     Parameters
     ----------
@@ -155,7 +155,7 @@ def measure_noise(
     dark : Photograph, optional
         The dark frame, which is subtracted.
     smooth : bool
-        They show a flat reference: the median block is noise.  Otherwise they show an artwork,
+        They show a flat: the median block is noise.  Otherwise they show an artwork,
         and only the smoothest tenth of its blocks is believed to be.
 
     Returns

@@ -45,15 +45,15 @@ class Optics(NamedTuple):
         1 for near lamps, 0 for distant ones.
     camera : (3,)
         Centre of projection, mm; z is infinite where there is none.
-    plate : (L, H W, 12)
-        Minus the binary logarithm of the plate's reading: of each cell, numbered as its first corner is, and
+    flat_field : (L, H W, 12)
+        Minus the binary logarithm of the flat field: of each cell, numbered as its first corner is, and
         each colour the value at that corner, the slopes to the right and downwards, and the twist.
-    plate_shape : tuple of 2 int
+    flat_field_shape : tuple of 2 int
         H and W.
     place : (3,)
-        x and y of the plate's first sample and their distance, mm.
+        x and y of the flat field's first sample and their distance, mm.
     lens : (4,)
-        The x, y and 1 / z^2 of the camera that saw the plate; its vignetting times 4 / ln 2.
+        The x, y and 1 / z^2 of the camera that saw the flat; its vignetting times 4 / ln 2.
     limits : (2,)
         The largest inverse reading that is usable; the constant of
         `nlights_core.photographs.noise.Noise.with_readout`.
@@ -64,8 +64,8 @@ class Optics(NamedTuple):
     positions: Array
     near: Array
     camera: Array
-    plate: Array
-    plate_shape: tuple[int, int]
+    flat_field: Array
+    flat_field_shape: tuple[int, int]
     place: Array
     lens: Array
     limits: Array
@@ -79,7 +79,7 @@ class Blocks(NamedTuple):
     samples : (S, L, SAMPLE) float32 array
         See `nlights_core.solving.compiled_fits`.
     colours : (S, L, 3 BLOCK) float32 array
-        The images, divided by power and plate.
+        The images, divided by power and flat field.
     counts : (S, COUNTED) float32 array
         How many lights are saturated, and how many in shadow.
     totals : (L + 1, 2 BLOCK) float32 array

@@ -32,7 +32,7 @@ FRAME = "plane frame: x right, y up, z from the artwork to the camera; NaN where
 WHAT = {
     "normals.tif": "unit normals x, y, z in the plane frame, float32",
     "normals_opengl.png": "the normals as colours for viewing, 8 bit, OpenGL convention (+Y up)",
-    "albedo.tif": "albedo, float32, linear; absolute with a white reference, else relative",
+    "albedo.tif": "albedo, float32, linear; absolute with a flat, else relative",
     "albedo_view.tif": "the albedo for viewing, 16 bit, sRGB",
     "reflection.tif": "reflection map: apparent colour (mean over the lamps) minus albedo, float32, linear, signed",
     "height.tif": "height towards the camera, float32",
@@ -69,7 +69,7 @@ def open_maps(
 
 
 def white_reflectance(store: Store, normals: ArtefactRef) -> float | None:
-    """Albedo of the photographed plate that made this one's albedo absolute; None where it is relative."""
+    """Albedo of the photographed flat that made this one's albedo absolute; None where it is relative."""
     record = json.loads((store.path(normals) / RECORD).read_text(encoding="utf-8"))
     return record["facts"]["white_reflectance"]  # type: ignore[no-any-return]
 

@@ -44,12 +44,12 @@ def _albedo_colours(albedo: Array) -> Array:
 
 
 def albedo_scale(white: float | None) -> str:
-    """What the albedo counts from, given the stated reflectance of the white reference (None: there was none)."""
+    """What the albedo counts from, given the stated reflectance of the flat (None: there was none)."""
     if white is None:
-        return "Relative: there was no white reference, so only ratios within this tile count."
+        return "Relative: there was no flat, so only ratios within this tile count."
     return (
-        "Absolute: the share of the light that it reflects, 1 being a perfect diffuser, as far as the white "
-        f"reference has its stated reflectance of {white:g}."
+        "Absolute: the share of the light that it reflects, 1 being a perfect diffuser, as far as the "
+        f"flat has its stated reflectance of {white:g}."
     )
 
 
@@ -270,7 +270,7 @@ def _lights_used(views: Views) -> Picture:
     """How many lights served at each pixel."""
     f = views.factor
     used = np.asarray(views.maps["used"][f // 2 :: f, f // 2 :: f][: views.rows, : views.columns], int)
-    most = max([int(used.max()), *(len(views.maps[n]) for n in ("plate", "frames") if n in views.maps)])
+    most = max([int(used.max()), *(len(views.maps[n]) for n in ("flat_field", "frames") if n in views.maps)])
     if most <= 16:
         image, bar = pictures.counted(used, most, "Lights used: share of the pixels")
     else:
@@ -288,17 +288,17 @@ def _lights_used(views: Views) -> Picture:
 
 def _removed(views: Views, lamps: Sequence[str]) -> Iterable[Picture]:
     """What was taken out of the measurement."""
-    if "plate" in views.maps:
-        plates = [_grey_mean(np.asarray(p, np.float64)) for p in views.maps["plate"]]
-        relative = [p / np.nanmax(p) if np.isfinite(p).any() else p for p in plates]
+    if "flat_field" in views.maps:
+        flat_fields = [_grey_mean(np.asarray(p, np.float64)) for p in views.maps["flat_field"]]
+        relative = [p / np.nanmax(p) if np.isfinite(p).any() else p for p in flat_fields]
         low = min((pictures.robust_range(p)[0] for p in relative), default=0.0)
-        for i, plate in enumerate(relative):
+        for i, flat_field in enumerate(relative):
             name = lamps[i] if i < len(lamps) else f"lamp {i + 1}"
             label = "Share of the brightest place"
-            image, bar = pictures.coloured(plate, (min(low, 0.99), 1.0), "cividis", label)
-            caption = f"Brightest to darkest {figure_of(unevenness(views.maps['plate'][i]))}."
+            image, bar = pictures.coloured(flat_field, (min(low, 0.99), 1.0), "cividis", label)
+            caption = f"Brightest to darkest {figure_of(unevenness(views.maps['flat_field'][i]))}."
             yield Picture(
-                f"Light of {name}", caption, f"Light of {name} on a white plate", image, bar, None, "small"
+                f"Light of {name}", caption, f"Light of {name} on a flat", image, bar, None, "small"
             )
     trend, bias = views.of("trend"), views.of("bias")
     if trend is not None:
@@ -319,7 +319,7 @@ def _removed(views: Views, lamps: Sequence[str]) -> Iterable[Picture]:
         ends = pictures.robust_range(angle, from_zero=True)
         image, bar = pictures.coloured(angle, ends, "magma", "Bias in degrees")
         caption = (
-            "Systematic error of the normals, seen on the flat reference and taken out: "
+            "Systematic error of the normals, seen on the flat and taken out: "
             f"{figure_of(largest, '°')}° at most."
         )
         alt = "Map of the bias removed from the normals"
@@ -364,8 +364,8 @@ def chapters(views: Views, record: Mapping[str, Any]) -> list[Chapter]:
     views : Views
         The tile's maps.
     record : mapping
-        Of which "lamps" (names), "lights" (`LightField.record`) and "white" (reflectance of the white
-        reference) are shown.
+        Of which "lamps" (names), "lights" (`LightField.record`) and "white" (reflectance of the
+        flat) are shown.
     """
     lamps = [str(name) for name in record.get("lamps") or ()]
     # Matplotlib must not draw in two threads at once: the chapters with plots keep to one.

@@ -15,20 +15,20 @@ NOISE = "Photon noise at saturation"
 
 
 def of_flat_levels(
-    plate: Array | None, power: Array | None, noise: Noise | None, lamps: Sequence[str], missing: str
+    flat_field: Array | None, power: Array | None, noise: Noise | None, lamps: Sequence[str], missing: str
 ) -> list[Number]:
     """How bright the flat is under each lamp, and the noise that was measured on it.
 
     Parameters
     ----------
-    plate : (L, h, w, C) array, optional
+    flat_field : (L, h, w, C) array, optional
         What the photographed flat reads, divided by the lamps' powers.  None: no flat was photographed.
     power : (L, C) or (L, 1) array, optional
         Those powers.
     noise : Noise, optional
         Of the flat's photographs.
     lamps : sequence of str
-        Their names, in the order of ``plate``.
+        Their names, in the order of ``flat_field``.
     missing : str
         What is to be said without a photographed flat.
 
@@ -38,8 +38,8 @@ def of_flat_levels(
         One level per lamp (one number without a name where there is no flat), and the noise.
     """
     levels: dict[str, float | None] = {LEVEL: None}
-    if plate is not None and power is not None:
-        means = (plate.mean(axis=(1, 2), dtype=np.float64) * power).mean(axis=1)
+    if flat_field is not None and power is not None:
+        means = (flat_field.mean(axis=(1, 2), dtype=np.float64) * power).mean(axis=1)
         levels = {f"{LEVEL}, {lamp}": 100 * float(mean) for lamp, mean in zip(lamps, means, strict=True)}
     numbers = [
         Number(

@@ -112,7 +112,7 @@ def bias_angle(bias: Array) -> Array:
 
 
 def unevenness(reading: Array) -> float | None:
-    """Brightest over darkest place of a white plate (h, w, C), by the mean of its colours."""
+    """Brightest over darkest place of a flat field (h, w, C), by the mean of its colours."""
     values = np.asarray(reading, np.float64).mean(axis=-1)
     values = values[np.isfinite(values) & (values > 0)]
     return float(values.max() / values.min()) if values.size else None

@@ -76,7 +76,7 @@ def draw(record: Mapping[str, Any], maps: Mapping[str, Array], grid: PixelGrid) 
         As `write_report` takes it.
     maps : mapping of str to array
         What is there of "albedo" (H, W, C), "normals" (H, W, 3), "height", "confidence", "residual"
-        (H, W), "used" (H, W) integers, "reflection" (H, W, C), "plate" (L, h, w, C), "trend" (H, W),
+        (H, W), "used" (H, W) integers, "reflection" (H, W, C), "flat_field" (L, h, w, C), "trend" (H, W),
         "bias" (H, W, 3) and "frames" (L, h, w[, C]).  NaN where not known.
     grid : PixelGrid
         Where the pixels are; its unit is that of every length.
@@ -100,8 +100,8 @@ def write_report(
         File to write.
     record : mapping
         What is known of the tile, every key optional: "artwork", "title", "tile", "origin_mm" (x, y),
-        "stand", "uncertainty_mm" (of a position, per axis), "white" (reflectance of the white reference
-        that makes the albedo absolute; None: relative), "recipe" (nested mapping), "lamps" (names),
+        "stand", "uncertainty_mm" (of a position, per axis), "white" (reflectance of the flat that makes
+        the albedo absolute; None: relative), "recipe" (nested mapping), "lamps" (names),
         "lights" (`LightField.record`), "version", "files" (each "name", "bytes", "what"), "mesh"
         ("glb": what `meshes.write_glb` returned) and "key".
     drawing : Drawing

@@ -22,7 +22,7 @@ from nlights_core.report.map_statistics import (
 )
 
 if TYPE_CHECKING:
-    from nlights_core.lamps.emission import FlatCheck
+    from nlights_core.lamps.emission import StandCheck
     from nlights_core.near_light.levelling import Level
     from nlights_core.near_light.position_uncertainty import PositionUncertainty
     from nlights_core.solving.agreement import Agreement
@@ -124,7 +124,7 @@ def _share(array: Array | None) -> float | None:
 def _lights(maps: Mapping[str, Array], known: float | None) -> list[Number]:
     """Numbers of coverage, of which the known share is given, and of how many lights served."""
     group, used = "Light", maps.get("used")
-    stacks = [len(maps[name]) for name in ("plate", "frames") if name in maps]
+    stacks = [len(maps[name]) for name in ("flat_field", "frames") if name in maps]
     lamps = stacks[0] if stacks else int(used.max()) if used is not None and used.size else 0
     served = None if used is None else counts(used, lamps)
     mean, every = served or (None, None)
@@ -163,8 +163,8 @@ def _lights(maps: Mapping[str, Array], known: float | None) -> list[Number]:
             "Albedo, mean",
             None if "albedo" not in maps else mean_of(maps["albedo"]),
             "linear",
-            "Mean over pixels and colours on the scale of albedo.tif: a share of the light where a white "
-            "reference was photographed, relative where not.",
+            "Mean over pixels and colours on the scale of albedo.tif: a share of the light where a flat "
+            "was photographed, relative where not.",
         ),
     ]
 
@@ -172,11 +172,13 @@ def _lights(maps: Mapping[str, Array], known: float | None) -> list[Number]:
 def _removed(maps: Mapping[str, Array], grid: PixelGrid, lamps: Sequence[str]) -> list[Number]:
     """Amplitudes of what was removed, so that it can be judged and added back."""
     group = "Removed"
-    absent = {name: NOT_MEASURED if name in maps else NOT_IN_RECIPE for name in ("plate", "trend", "bias")}
+    absent = {
+        name: NOT_MEASURED if name in maps else NOT_IN_RECIPE for name in ("flat_field", "trend", "bias")
+    }
     names = ["Uneven light"]
     ratios: list[float | None] = [None]
-    if "plate" in maps:
-        ratios = [unevenness(reading) for reading in maps["plate"]]
+    if "flat_field" in maps:
+        ratios = [unevenness(reading) for reading in maps["flat_field"]]
         numbered = [f"lamp {i} of {len(ratios)}" for i in range(1, len(ratios) + 1)]
         names = [f"Uneven light, {lamp}" for lamp in (*lamps[: len(ratios)], *numbered[len(lamps) :])]
     numbers = [
@@ -185,8 +187,8 @@ def _removed(maps: Mapping[str, Array], grid: PixelGrid, lamps: Sequence[str]) -
             name,
             ratio,
             "brightest / darkest",
-            "What a flat white plate reads under this lamp, and the photographs were divided by.",
-            absent["plate"],
+            "What a flat reads under this lamp, and the photographs were divided by.",
+            absent["flat_field"],
         )
         for name, ratio in zip(names, ratios, strict=True)
     ]
@@ -210,7 +212,7 @@ def _removed(maps: Mapping[str, Array], grid: PixelGrid, lamps: Sequence[str]) -
             "Bias of the normals, largest",
             angle,
             "°",
-            "Largest systematic error seen on the flat reference and taken out of the normals.",
+            "Largest systematic error seen on the flat and taken out of the normals.",
             absent["bias"],
         ),
     ]
@@ -224,13 +226,13 @@ def measure(maps: Mapping[str, Array], grid: PixelGrid, lamps: Sequence[str] = (
     maps : mapping of str to array
         What is there of "normals" (H, W, 3), as "measured" before they were made integrable, "height"
         (H, W), "albedo" (H, W, C), "residual" and "confidence" (H, W), "used", "saturated" and "shadow"
-        (H, W) counts of lights, "plate" (L, h, w, C), "frames" (L, ...), "trend" (H, W) and "bias"
+        (H, W) counts of lights, "flat_field" (L, h, w, C), "frames" (L, ...), "trend" (H, W) and "bias"
         (H, W, 3).  NaN where not known.
-        Without "plate", "trend" or "bias" the recipe had no step that makes one.
+        Without "flat_field", "trend" or "bias" the recipe had no step that makes one.
     grid : PixelGrid
         Where the pixels are.
     lamps : sequence of str
-        Their names, in the order of "plate"; they are numbered where there are none.
+        Their names, in the order of "flat_field"; they are numbered where there are none.
 
     Returns
     -------
@@ -314,7 +316,7 @@ def of_positions(found: PositionUncertainty | None, uncertainty: float | None) -
     ]
 
 
-def of_flat(check: FlatCheck | None, stand: str | None, missing: str) -> list[Number]:
+def of_flat(check: StandCheck | None, stand: str | None, missing: str) -> list[Number]:
     """What the photographs of the flat say of themselves and of the stand's file."""
     warning = ""
     if check is not None and not check.fits:
@@ -331,13 +333,13 @@ def of_flat(check: FlatCheck | None, stand: str | None, missing: str) -> list[Nu
 
     return [
         number(
-            "Plate fit, peak to valley",
+            "Flat fit, peak to valley",
             check.peak_to_valley if check else None,
             "µm",
             "Height of the flat itself when it is measured like an artwork with computed instead of photographed "
             "lamps: what stand file and lamps get wrong together. The artwork's height does not have this error.",
         ),
-        number("Plate fit, rms", check.rms if check else None, "µm", "The same, typically."),
+        number("Flat fit, rms", check.rms if check else None, "µm", "The same, typically."),
         number(
             "Flats against computed lamps, rms",
             100 * check.residual if check else None,
@@ -366,7 +368,7 @@ def of_level(level: Level) -> list[Number]:
             "Height added to the mean level",
             level.offset if found else None,
             "mm",
-            "Found in the photographs, so that heights count from the plane of the flat reference.",
+            "Found in the photographs, so that heights count from the plane of the flat.",
         ),
         Number(
             "Level",

@@ -15,11 +15,11 @@ from nlights_core.fields import LightField
 from nlights_core.files import tiffs
 from nlights_core.files.arrays import read_array
 from nlights_core.frames import Array, PixelGrid
-from nlights_core.lamps.emission import read_flat_check
+from nlights_core.lamps.emission import read_stand_check
 from nlights_core.near_light.levelling import read_level
 from nlights_core.near_light.position_uncertainty import position_uncertainty
+from nlights_core.photographs.flat_fields import read_flat_field
 from nlights_core.photographs.noise import read_noise
-from nlights_core.photographs.plates import read_plate
 from nlights_core.products.writing import WHAT, open_maps, white_reflectance
 from nlights_core.report import quality
 from nlights_core.report.figures import NOT_IN_RECIPE, NOT_MEASURED, Number
@@ -48,8 +48,8 @@ def write_report(
     maps["measured"] = maps["normals"]
     for name in ("albedo", "reflection", "normals", "confidence"):
         maps[name] = tiffs.read_tiff(made["maps"] / f"{name}.tif")
-    if "plate" in made:
-        maps["plate"] = read_plate(made["plate"]).inside(grid)
+    if "flat_field" in made:
+        maps["flat_field"] = read_flat_field(made["flat_field"]).inside(grid)
     if "bias" in made:
         maps["bias"] = read_array(made["bias"] / "bias.npy")
     white = white_reflectance(store, normals)
@@ -115,12 +115,16 @@ def _numbers(
         maps["normals"], grid, field, uncertainty, photographed=white is not None
     )
     numbers += quality.of_positions(wrong or None, uncertainty)
-    check = read_flat_check(made["plate"]) if "plate" in made else None
+    check = read_stand_check(made["flat_field"]) if "flat_field" in made else None
     absent = NOT_MEASURED if white is not None else NOT_IN_RECIPE
     numbers += quality.of_flat(check, stand.name if stand else None, absent)
-    flat = made["plate"] if white is not None else None
+    photographed = made["flat_field"] if white is not None else None
     return numbers + of_flat_levels(
-        maps["plate"] if flat else None, field.power, read_noise(flat) if flat else None, tile.lamps, absent
+        maps["flat_field"] if photographed else None,
+        field.power,
+        read_noise(photographed) if photographed else None,
+        tile.lamps,
+        absent,
     )
 
 

@@ -25,7 +25,7 @@ from nlights_core.simulation.scenes import SCENES, Scene
 from nlights_core.simulation.surfaces import plane, seen_points
 from nlights_core.stands import Stand
 
-PLATE_ALBEDO = 0.9
+FLAT_ALBEDO = 0.9
 EXPOSURE = 0.8
 """The brightest matt pixel, as a share of saturation."""
 FULL_WELL = 50_000.0
@@ -43,7 +43,7 @@ BAND = 64
 
 @dataclass(frozen=True)
 class Studio:
-    """The artwork, the plate, the lamps and the camera of one simulated capture.
+    """The artwork, the flat, the lamps and the camera of one simulated capture.
 
     Parameters
     ----------
@@ -93,8 +93,8 @@ class Studio:
 
         Yields
         ------
-        matt, gloss, plate : (h, w, 3) float32 arrays
-            The artwork's body colour, its highlights, and the white plate in its stead.
+        matt, gloss, flat : (h, w, 3) float32 arrays
+            The artwork's body colour, its highlights, and the flat in its stead.
         """
         points, normals, albedo = truth
         level = seen_points(plane(), self.grid, start, stop).astype(np.float32)
@@ -104,16 +104,16 @@ class Studio:
         lens = self.vignetting(start, stop)
         for group, shadows in zip(self.groups, self.horizons, strict=True):
             matt, gloss = shine(group, points, normals, shadows, camera)
-            plate, _ = shine(group, level, upright, None)
-            white = np.broadcast_to(PLATE_ALBEDO * plate[..., None] * lens, albedo.shape)
-            yield matt[..., None] * albedo * lens, gloss[..., None] * lens, white
+            light, _ = shine(group, level, upright, None)
+            flat = np.broadcast_to(FLAT_ALBEDO * light[..., None] * lens, albedo.shape)
+            yield matt[..., None] * albedo * lens, gloss[..., None] * lens, flat
 
     def brightest(self) -> float:
         """The brightest matt radiance in any photograph, sampled on every 32nd row."""
         brightest = 0.0
         for row in range(0, self.grid.rows, 32):
-            for matt, _, plate in self.radiance(row, row + 1, self.truth(row, row + 1)):
-                brightest = max(brightest, float(matt.max()), float(plate.max()))
+            for matt, _, flat in self.radiance(row, row + 1, self.truth(row, row + 1)):
+                brightest = max(brightest, float(matt.max()), float(flat.max()))
         return brightest
 
 
@@ -245,9 +245,9 @@ def _photograph(studio: Studio, folder: Path, seed: int, progress: Callable[[int
             normals.write(truth[1])
             albedo.write(truth[2])
             dark.write(expose(np.zeros_like(truth[2]), gain, _chance(seed, f"dark {start}")))
-            for k, (matt, gloss, plate) in enumerate(studio.radiance(start, stop, truth)):
+            for k, (matt, gloss, flat) in enumerate(studio.radiance(start, stop, truth)):
                 frames[k].write(expose(matt + gloss, gain, _chance(seed, f"frame {k} {start}")))
-                flats[k].write(expose(plate, gain, _chance(seed, f"flat {k} {start}")))
+                flats[k].write(expose(flat, gain, _chance(seed, f"flat {k} {start}")))
             if progress is not None:
                 progress(stop, rows)
 
@@ -260,6 +260,6 @@ def _manifest(stand: Stand, scene: str, varnish: bool, seed: int) -> dict[str, o
         "frames": {lamp: f"light_{n}.tif" for n, lamp in enumerate(stand.lamps, 1)},
         "flats": {lamp: f"flat/light_{n}.tif" for n, lamp in enumerate(stand.lamps, 1)},
         "dark": "dark.tif",
-        "white_reflectance": PLATE_ALBEDO,
+        "white_reflectance": FLAT_ALBEDO,
         "tiles": [{"name": "r0c0", "origin_mm": [0, 0]}],
     }

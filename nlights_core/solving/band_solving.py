@@ -25,7 +25,7 @@ from nlights_core.frames import Array
 from nlights_core.machine.kernel_switch import available
 from nlights_core.machine.progress import Progress
 from nlights_core.photographs.development import Band, Darkroom, Rows
-from nlights_core.photographs.plates import Plate
+from nlights_core.photographs.flat_fields import FlatField
 from nlights_core.solving.agreement import AgreementMeter, write_agreement
 from nlights_core.solving.kernels import Images
 
@@ -47,7 +47,7 @@ def solve(
     room: Darkroom,
     solver: NormalSolver,
     lights: LightField,
-    plate: Plate | None,
+    flat_field: FlatField | None,
     height: Rows | None,
     folder: Path,
     progress: Progress,
@@ -62,7 +62,7 @@ def solve(
         The open photographs.
     solver : NormalSolver
         Sees one band of plain arrays at a time.
-    lights, plate : LightField, Plate or None
+    lights, flat_field : LightField, FlatField or None
         See `nlights_core.photographs.development`.
     height : (H, W) array or None
         Height of the pass before, mm.
@@ -73,7 +73,7 @@ def solve(
     bias : (H, W, 3) array, optional
         Subtracted from the normals, which are then made unit again.
     white : float, optional
-        Albedo of the white plate, which makes the albedo absolute; None without a photographed plate.
+        Albedo of the flat, which makes the albedo absolute; None without a photographed flat.
 
     Raises
     ------
@@ -90,12 +90,12 @@ def solve(
         "shadow": (shape, np.uint8),
     }
     meter = AgreementMeter(room.grid, partial(solved, solver))
-    if available() and plate is not None and not lights.ambient.any():
+    if available() and flat_field is not None and not lights.ambient.any():
         from nlights_core.solving.fused_solving import FusedSolver
 
-        strips = FusedSolver(room, solver, lights, plate, height, SHADOW, scale).strips(meter)
+        strips = FusedSolver(room, solver, lights, flat_field, height, SHADOW, scale).strips(meter)
     else:
-        strips = _by_bands(room, solver, lights, plate, height, scale, meter)
+        strips = _by_bands(room, solver, lights, flat_field, height, scale, meter)
     with ExitStack() as stack:
         out: dict[str, BandWriter | BandTiff] = {
             name: stack.enter_context(BandWriter(folder / f"{name}.npy", *kind))
@@ -116,9 +116,9 @@ def solve(
 
 def _coloured(path: Path, room: Darkroom, white: float | None) -> BandTiff:
     """A map in colour, as it leaves the system: the bytes are written once, and linked from then on."""
-    said = "linear, relative (there was no white reference)"
+    said = "linear, relative (there was no flat)"
     if white is not None:
-        said = f"linear, 1 is a perfect diffuser (white reference of reflectance {white:g})"
+        said = f"linear, 1 is a perfect diffuser (flat of reflectance {white:g})"
     shape = (*room.grid.shape, 3) if room.info.channels == 3 else room.grid.shape
     what = COLOURS[path.stem].format(said)
     return BandTiff(
@@ -130,12 +130,12 @@ def _by_bands(
     room: Darkroom,
     solver: NormalSolver,
     lights: LightField,
-    plate: Plate | None,
+    flat_field: FlatField | None,
     height: Rows | None,
     scale: float,
     meter: AgreementMeter,
 ) -> Iterator[tuple[int, int, Images]]:
-    """Solve where there is no plate, or ambient light; and without compiled loops."""
+    """Solve where there is no flat field, or ambient light; and without compiled loops."""
 
     def imaged(band: Band) -> Images:
         found = solved(solver, band)
@@ -152,7 +152,7 @@ def _by_bands(
             shadow=_count(_shadowed(band)),
         )
 
-    for band, images in room.bands(imaged, lights, plate, height):
+    for band, images in room.bands(imaged, lights, flat_field, height):
         meter.add(band)
         yield band.start, band.stop, images
 

@@ -44,7 +44,7 @@ def deliver(blocks: Blocks, found: Array, first: int, white: np.float32, images:
     first : int
         Number of the first block.
     white : float32
-        Albedo of the plate.
+        Albedo of the flat.
     images : Images
         Receives them.
     """

@@ -25,8 +25,8 @@ from nlights_core.memory import band_memory
 from nlights_core.photographs.blocks import BLOCK, SAMPLE, USABLE, VALUE, X, Y, Z
 from nlights_core.photographs.compiled_development import COUNTED, SCRATCH, cells, develop
 from nlights_core.photographs.development import Band, Darkroom, Exposure, Rows, grey_shares
+from nlights_core.photographs.flat_fields import FlatField
 from nlights_core.photographs.images import EYE
-from nlights_core.photographs.plates import Plate
 from nlights_core.photographs.strips import Blocks, Optics, Strip
 from nlights_core.solving.agreement import AgreementMeter
 from nlights_core.solving.compiled_delivery import deliver, strip_solver, take
@@ -57,20 +57,20 @@ class FusedSolver:
         Does its work by a kernel, if it has one.
     lights : LightField
         Without ambient light.
-    plate : Plate
-        What a flat plate reads.
+    flat_field : FlatField
+        What a flat reads.
     height : (H, W) array or None
         Height of the pass before, mm.
     shadow : float
         Share of the brightest sample below which one is counted as shadow.
     white : float
-        Albedo of the plate.
+        Albedo of the flat.
     """
 
     room: Darkroom
     solver: NormalSolver
     lights: LightField
-    plate: Plate
+    flat_field: FlatField
     height: Rows | None
     shadow: float
     white: float
@@ -258,9 +258,9 @@ class FusedSolver:
     @cached_property
     def optics(self) -> Optics:
         """What is the same for all pixels."""
-        room, lights, plate = self.room, self.lights, self.plate
+        room, lights, flat_field = self.room, self.lights, self.flat_field
         channels = room.info.channels
-        mix = grey_shares(channels, plate)
+        mix = grey_shares(channels, flat_field)
         eye = EYE if channels > 1 else np.ones(1)
         power = np.broadcast_to(lights.power, (len(lights.lamps), channels))
         lamps = np.zeros((len(power), 4, 3))
@@ -271,9 +271,9 @@ class FusedSolver:
             assert lights.directions is not None
             places = lights.directions / lights.directions[:, 2:]
         lens = (0.0, 0.0, 0.0, 0.0)
-        if plate.camera is not None:
-            x, y, z = plate.camera
-            lens = (x, y, z**-2, 4 * plate.vignetting / np.log(2))
+        if flat_field.camera is not None:
+            x, y, z = flat_field.camera
+            lens = (x, y, z**-2, 4 * flat_field.vignetting / np.log(2))
         constant = room.noise.readout.mean() / (room.noise.gain.mean() ** 2 * np.sum(mix**2))
 
         def single(values: Any) -> Array:
@@ -285,16 +285,16 @@ class FusedSolver:
             positions=single(places),
             near=single([lights.near]),
             camera=single(room.grid.camera or (0.0, 0.0, np.inf)),
-            plate=_cells(plate.logarithm),
-            plate_shape=plate.logarithm.shape[1:3],
-            place=single([plate.left, plate.top, plate.step]),
+            flat_field=_cells(flat_field.logarithm),
+            flat_field_shape=flat_field.logarithm.shape[1:3],
+            place=single([flat_field.left, flat_field.top, flat_field.step]),
             lens=single(lens),
-            limits=single([1e6 / plate.brightest, constant]),
+            limits=single([1e6 / flat_field.brightest, constant]),
         )
 
 
 def _cells(logarithm: Array) -> Array:
-    """What `Optics.plate` is, of a plate's natural logarithm (L, H, W, C)."""
+    """What `Optics.flat_field` is, of a flat field's natural logarithm (L, H, W, C)."""
     lamps, rows, columns, channels = logarithm.shape
     value = (logarithm * (-1 / np.log(2))).astype(np.float32)
     found = np.zeros((lamps, rows * columns, 12), np.float32)

@@ -37,7 +37,7 @@ DARKEST = 0.03
 arbitrary small unit are not taken for noise."""
 
 MODEL_ERROR = 0.003
-"""Share of a reading that lamps and plate are not known better than, besides the noise."""
+"""Share of a reading that lamps and flat field are not known better than, besides the noise."""
 
 FEW = 16
 """With more lights none has a leverage by which it alone decides the fit."""

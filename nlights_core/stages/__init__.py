@@ -6,6 +6,7 @@ puts; an algorithm never sees a file, and a stage never sees Prefect.
 """
 
 from nlights_core.stages.bias import bias
+from nlights_core.stages.flat_field import flat_field
 from nlights_core.stages.height import height
 from nlights_core.stages.level import level
 from nlights_core.stages.lights import lights
@@ -13,12 +14,12 @@ from nlights_core.stages.maps import maps
 from nlights_core.stages.mesh import mesh
 from nlights_core.stages.normals import normals
 from nlights_core.stages.overview import overview
-from nlights_core.stages.plate import plate
 from nlights_core.stages.report import report
 from nlights_core.stages.trend import trend
 
 __all__ = [
     "bias",
+    "flat_field",
     "height",
     "level",
     "lights",
@@ -26,7 +27,6 @@ __all__ = [
     "mesh",
     "normals",
     "overview",
-    "plate",
     "report",
     "trend",
 ]

@@ -22,7 +22,7 @@ def facts_of_photographs(store: Store, tile: Tile, which: str) -> dict[str, Any]
     paths = tile.flats if which == "flats" else tile.frames
     if paths is None:
         raise TileError(
-            f"{tile.artwork}/{tile.name}: flats: the recipe needs photographs of a flat white reference; add "
+            f"{tile.artwork}/{tile.name}: flats: the recipe needs photographs of a flat (a flat white board); add "
             "flats to artwork.yaml, or choose another detrend.images (inverse-square)"
         )
     stand = tile.stand

@@ -14,8 +14,8 @@ from nlights_core.machine.progress import Progress
 from nlights_core.near_light import levelling
 from nlights_core.near_light.levelling import Level, read_level, write_level
 from nlights_core.photographs.development import bands, darkroom
+from nlights_core.photographs.flat_fields import read_flat_field
 from nlights_core.photographs.noise import read_noise
-from nlights_core.photographs.plates import read_plate
 from nlights_core.stages.inputs import facts_of_photographs, read_lights
 from nlights_core.store import ArtefactRef, Store, Work, describe
 
@@ -27,7 +27,7 @@ def level(
     store: Store,
     tile: Tile,
     lights: ArtefactRef,
-    plate: ArtefactRef,
+    flat_field: ArtefactRef,
     height: ArtefactRef,
     overview: ArtefactRef,
 ) -> Work:
@@ -37,19 +37,19 @@ def level(
     with which strengths of the lamps the height was measured.
     """
     facts = facts_of_photographs(store, tile, "frames")
-    inputs = {"lights": lights, "plate": plate, "height": height, "overview": overview}
+    inputs = {"lights": lights, "flat_field": flat_field, "height": height, "overview": overview}
     ref, record = describe("level", tile.artwork, tile.name, rests_on=RESTS_ON, inputs=inputs, facts=facts)
 
     def make(folder: Path, progress: Progress) -> None:
-        field, flat = read_lights(store, lights), read_plate(store.path(plate))
+        field, divisor = read_lights(store, lights), read_flat_field(store.path(flat_field))
         before = read_array(store.path(height) / "height.npy")
         found = Level(0.0, None, np.ones(len(field.lamps)))
         with store.scratch() as scratch, darkroom(tile, scratch) as room:
             grid = room.grid
             if field.near and grid.unit == "mm":
-                room.noise = read_noise(store.path(plate)) or room.noise
+                room.noise = read_noise(store.path(flat_field)) or room.noise
                 assumed = read_level(store.path(overview)).strengths
-                found = levelling.level(room, field, flat, before, assumed)
+                found = levelling.level(room, field, divisor, before, assumed)
         write_level(folder, found)
 
         def raised(rows: tuple[int, int]) -> Array:

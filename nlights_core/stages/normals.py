@@ -11,9 +11,9 @@ from nlights_core.machine.progress import Progress
 from nlights_core.near_light.levelling import read_level
 from nlights_core.near_light.overview import Enlarged, block_edge
 from nlights_core.photographs.development import darkroom
+from nlights_core.photographs.flat_fields import read_flat_field
 from nlights_core.photographs.headers import grid_of, survey
 from nlights_core.photographs.noise import read_noise
-from nlights_core.photographs.plates import read_plate
 from nlights_core.solving import band_solving
 from nlights_core.stages.inputs import facts_of_photographs, read_lights
 from nlights_core.store import ArtefactRef, Store, Work, describe
@@ -27,25 +27,26 @@ def normals(
     tile: Tile,
     solver: NormalSolver,
     lights: ArtefactRef,
-    plate: ArtefactRef | None = None,
+    flat_field: ArtefactRef | None = None,
     bias: ArtefactRef | None = None,
     height: ArtefactRef | None = None,
     photographed: bool = False,
 ) -> Work:
     """Normals and what is solved with them; the files are listed in `nlights_core.solving.band_solving`.
 
-    ``height`` is the `overview`, where there is one.  ``photographed``: the plate is, so that it
+    ``height`` is the `overview`, where there is one.  ``photographed``: the flat field is, so that it
     makes the albedo absolute.
     """
     facts = facts_of_photographs(store, tile, "frames")
     white = facts["white_reflectance"] = tile.white_reflectance if photographed else None
-    inputs = {"lights": lights, "plate": plate, "bias": bias, "height": height}
+    inputs = {"lights": lights, "flat_field": flat_field, "bias": bias, "height": height}
     ref, record = describe(
         "normals", tile.artwork, tile.name, rests_on=RESTS_ON, algorithm=solver, inputs=inputs, facts=facts
     )
 
     def make(folder: Path, progress: Progress) -> None:
-        field, flat = read_lights(store, lights), read_plate(store.path(plate)) if plate else None
+        field = read_lights(store, lights)
+        divisor = read_flat_field(store.path(flat_field)) if flat_field else None
         before = None
         if height:
             shape = grid_of(tile, survey(tile)).shape
@@ -53,8 +54,8 @@ def normals(
             field = field.stronger(read_level(store.path(height)).strengths)
         removed = read_array(store.path(bias) / "bias.npy") if bias else None
         with store.scratch() as scratch, darkroom(tile, scratch) as room:
-            if plate:
-                room.noise = read_noise(store.path(plate)) or room.noise
-            band_solving.solve(room, solver, field, flat, before, folder, progress, removed, white)
+            if flat_field:
+                room.noise = read_noise(store.path(flat_field)) or room.noise
+            band_solving.solve(room, solver, field, divisor, before, folder, progress, removed, white)
 
     return Work(ref, record, make)

@@ -11,8 +11,8 @@ from nlights_core.near_light.levelling import write_level
 from nlights_core.near_light.overview import overview as find_overview
 from nlights_core.near_light.overview import reduced_room
 from nlights_core.photographs.development import darkroom
+from nlights_core.photographs.flat_fields import read_flat_field
 from nlights_core.photographs.noise import read_noise
-from nlights_core.photographs.plates import read_plate
 from nlights_core.stages.inputs import facts_of_photographs, read_lights
 from nlights_core.store import ArtefactRef, Store, Work, describe
 
@@ -20,24 +20,27 @@ RESTS_ON = ("integration", "near_light", "photographs", "solving")
 """Departments whose code decides the result, beside what all results rest on."""
 
 
-def overview(store: Store, tile: Tile, lights: ArtefactRef, plate: ArtefactRef | None, passes: int) -> Work:
+def overview(
+    store: Store, tile: Tile, lights: ArtefactRef, flat_field: ArtefactRef | None, passes: int
+) -> Work:
     """Height for near light, from reduced photographs: ``height.npy`` and ``level.json``.
 
     See `nlights_core.near_light.overview`.
     """
     facts = facts_of_photographs(store, tile, "frames") | {"passes": passes}
-    inputs = {"lights": lights, "plate": plate}
+    inputs = {"lights": lights, "flat_field": flat_field}
     ref, record = describe("overview", tile.artwork, tile.name, rests_on=RESTS_ON, inputs=inputs, facts=facts)
 
     def make(folder: Path, progress: Progress) -> None:
-        field, flat = read_lights(store, lights), read_plate(store.path(plate)) if plate else None
+        field = read_lights(store, lights)
+        divisor = read_flat_field(store.path(flat_field)) if flat_field else None
         with store.scratch() as scratch, darkroom(tile, scratch) as room:
-            noise = read_noise(store.path(plate)) if plate else None
+            noise = read_noise(store.path(flat_field)) if flat_field else None
             room.noise = noise or room.noise
             small = reduced_room(room, lambda share: progress(0.7 * share))
             grid = room.grid
         levels = noise is not None and field.near and grid.unit == "mm"
-        height, level = find_overview(small, field, flat, passes, levels)
+        height, level = find_overview(small, field, divisor, passes, levels)
         write_level(folder, level)
         write_array(folder / "height.npy", height)
 

@@ -20,7 +20,7 @@ def report(
     tile: Tile,
     recipe: dict[str, Any],
     lights: ArtefactRef,
-    plate: ArtefactRef | None,
+    flat_field: ArtefactRef | None,
     bias: ArtefactRef | None,
     normals: ArtefactRef,
     height: ArtefactRef,
@@ -31,7 +31,7 @@ def report(
     """Products for people: ``report.html``, ``quality.json``, ``provenance.json``."""
     inputs = {
         "lights": lights,
-        "plate": plate,
+        "flat_field": flat_field,
         "bias": bias,
         "normals": normals,
         "height": height,

@@ -113,14 +113,14 @@ class LightModelContract(AlgorithmContract):
 
 
 class ImageDetrendContract(AlgorithmContract):
-    """What a flat white plate reads under eight near lamps without lenses.
+    """What a flat reads under eight near lamps without lenses.
 
     Attributes
     ----------
     algorithm : ImageDetrend
         What is tested.
     tolerance : float
-        Greatest relative error of the plate, after one common factor is removed.
+        Greatest relative error of the flat field, after one common factor is removed.
     """
 
     algorithm: ClassVar[ImageDetrend]
@@ -133,52 +133,57 @@ class ImageDetrendContract(AlgorithmContract):
         stand = synthetic_stand()
         return LightField(tuple(stand.lamps), positions=stand.lamp_positions())
 
-    def true_plate(self) -> Array:
+    def true_flat_field(self) -> Array:
         """(8, 45, 60, 3) float32: the irradiance of the plane, in three equal channels."""
         irradiance = self.lamps().vectors(self.grid.points(0, self.grid.rows))[..., 2:]
         return np.repeat(irradiance, 3, axis=-1)
 
-    def plate(self, flats: Array) -> Array:
+    def flat_field(self, flats: Array) -> Array:
         """What the algorithm says."""
         given = flats if "flats" in self.algorithm.needs else None
-        return self.algorithm.plate(given, self.lamps(), self.grid.x(), self.grid.y())
+        return self.algorithm.flat_field(given, self.lamps(), self.grid.x(), self.grid.y())
 
-    def check_plate(self, plate: Array, where: Array) -> None:
-        """The plate is the true one but for a factor that all lamps share."""
-        ratio = (plate / self.true_plate())[where]
+    def check_flat_field(self, flat_field: Array, where: Array) -> None:
+        """The flat field is the true one but for a factor that all lamps share."""
+        ratio = (flat_field / self.true_flat_field())[where]
         error = float(np.abs(ratio / np.median(ratio) - 1).max())
-        check(error <= self.tolerance, f"the plate is wrong by {100 * error:.3g} %")
+        check(error <= self.tolerance, f"the flat field is wrong by {100 * error:.3g} %")
 
-    def test_the_plate_is_that_of_the_lamps_but_for_a_common_factor(self) -> None:
+    def test_the_flat_field_is_that_of_the_lamps_but_for_a_common_factor(self) -> None:
         """Powers of the lamps relative to each other decide the normals."""
-        flats = self.true_plate()
-        self.check_plate(self.plate(flats), np.ones(flats.shape, bool))
+        flats = self.true_flat_field()
+        self.check_flat_field(self.flat_field(flats), np.ones(flats.shape, bool))
 
-    def test_the_plate_is_positive_float32(self) -> None:
+    def test_the_flat_field_is_positive_float32(self) -> None:
         """The images are divided by it."""
-        flats = self.true_plate()
-        plate = self.plate(flats)
-        check(plate.dtype == np.float32, f"the plate must be float32, not {plate.dtype}")
+        flats = self.true_flat_field()
+        flat_field = self.flat_field(flats)
+        check(flat_field.dtype == np.float32, f"the flat field must be float32, not {flat_field.dtype}")
         shapes = (flats.shape, (*flats.shape[:3], 1))
-        check(plate.shape in shapes, f"the plate must have one of the shapes {shapes}, not {plate.shape}")
-        check((plate > 0).all(), "the plate must be positive")
+        check(
+            flat_field.shape in shapes,
+            f"the flat field must have one of the shapes {shapes}, not {flat_field.shape}",
+        )
+        check((flat_field > 0).all(), "the flat field must be positive")
 
     def test_saturated_places_of_a_flat_do_not_spread(self) -> None:
-        """There the plate is NaN or bridged, at most five times less exactly; elsewhere it is right."""
-        flats = self.true_plate()
+        """There the flat field is NaN or bridged, at most five times less exactly; elsewhere it is right."""
+        flats = self.true_flat_field()
         flats[2, 20:22, 30:32] = np.nan
-        plate = np.broadcast_to(self.plate(flats), flats.shape)
+        flat_field = np.broadcast_to(self.flat_field(flats), flats.shape)
         known = np.isfinite(flats)
-        check(np.isfinite(plate[known]).all(), "NaN spread to where the flat is known")
-        self.check_plate(plate, known)
-        bridged = (plate / self.true_plate())[~known] / np.median((plate / self.true_plate())[known])
+        check(np.isfinite(flat_field[known]).all(), "NaN spread to where the flat is known")
+        self.check_flat_field(flat_field, known)
+        bridged = (flat_field / self.true_flat_field())[~known] / np.median(
+            (flat_field / self.true_flat_field())[known]
+        )
         error = float(np.abs(bridged[np.isfinite(bridged)] - 1).max(initial=0))
-        check(error <= 5 * self.tolerance, f"the plate was bridged wrongly, by {100 * error:.3g} %")
+        check(error <= 5 * self.tolerance, f"the flat field was bridged wrongly, by {100 * error:.3g} %")
 
-    def test_flats_are_not_overwritten_and_the_plate_repeats(self) -> None:
+    def test_flats_are_not_overwritten_and_the_flat_field_repeats(self) -> None:
         """Flats serve every tile; equal keys mean equal results."""
-        flats = self.true_plate()
+        flats = self.true_flat_field()
         before = flats.copy()
-        first = self.plate(flats)
+        first = self.flat_field(flats)
         check(np.array_equal(flats, before), "the flats were overwritten")
-        check(np.array_equal(first, self.plate(before)), "two runs differ")
+        check(np.array_equal(first, self.flat_field(before)), "two runs differ")

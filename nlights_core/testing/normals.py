@@ -180,7 +180,7 @@ class NormalDetrendContract(AlgorithmContract):
     tolerance_deg: ClassVar[float] = 0.1
 
     def reference(self, surface: Surface) -> NormalField:
-        """Normals that a flat reference would seem to have; (48, 64, 3) float32."""
+        """Normals that a flat would seem to have; (48, 64, 3) float32."""
         return normal_field(surface, GRID)
 
     def remaining(self, surface: Surface) -> Array:

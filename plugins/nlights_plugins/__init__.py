@@ -12,7 +12,7 @@ def nlights_algorithms() -> Iterable[type[Algorithm]]:
     from nlights_plugins.chrome_sphere import ChromeSphere
     from nlights_plugins.given_directions import GivenDirections
     from nlights_plugins.height_detrends import ParabolicFit
-    from nlights_plugins.image_detrends import FlatField, InverseSquare
+    from nlights_plugins.image_detrends import InverseSquare, PhotographedFlats
     from nlights_plugins.integrators import FrankotChellappa, Simchony
     from nlights_plugins.least_squares import LeastSquares
     from nlights_plugins.measured_poi import MeasuredPoi
@@ -26,7 +26,7 @@ def nlights_algorithms() -> Iterable[type[Algorithm]]:
         MeasuredPoi,
         ChromeSphere,
         GivenDirections,
-        FlatField,
+        PhotographedFlats,
         InverseSquare,
         LeastSquares,
         Progressive,

@@ -1,4 +1,4 @@
-"""Detrends of images: what a flat white plate reads, photographed or computed."""
+"""Detrends of images: the flat field, photographed or computed."""
 
 from typing import ClassVar
 
@@ -11,12 +11,12 @@ from nlights_core.fields import LightField
 from nlights_core.frames import Array
 
 
-class FlatField(ImageDetrend):
-    """The photographed plate, smoothed.
+class PhotographedFlats(ImageDetrend):
+    """The photographed flats, smoothed.
 
     Power, emission and fall-off of every lamp, and the lens's vignetting, are in the
     photograph; no model of them is needed.  Source: the paper, section 2.2 C; numerics,
-    section 1 (plate-relative lights).
+    section 1 (lights relative to the flat field).
     """
 
     name: ClassVar[str] = "flat-field"
@@ -27,10 +27,10 @@ class FlatField(ImageDetrend):
         gt=0,
         le=0.1,
         description="standard deviation of the smoothing, as a share of the frame's width: the "
-        "plate's own texture and noise are finer, the light's fall-off is not",
+        "flat's own texture and noise are finer, the light's fall-off is not",
     )
 
-    def plate(self, flats: Array | None, lights: LightField, x: Array, y: Array) -> Array:
+    def flat_field(self, flats: Array | None, lights: LightField, x: Array, y: Array) -> Array:
         assert flats is not None  # the stage sees to it, by `needs`
         blur = self.smoothing * len(x)
         out = np.empty_like(flats)
@@ -87,16 +87,16 @@ def smoothed(reading: Array, blur: float) -> Array:
 
 
 class InverseSquare(ImageDetrend):
-    """The plate computed from the lamps' positions: inverse square law and cosine.
+    """The flat field computed from the lamps' positions: inverse square law and cosine.
 
-    For captures without a flat reference.  The emission of the lamps is part of it where the
+    For captures without flats.  The emission of the lamps is part of it where the
     light model states it; their power is 1 unless it was calibrated on the artwork (see
     `nlights_core.lamps.emission_on_artwork`).
     """
 
     name: ClassVar[str] = "inverse-square"
 
-    def plate(self, flats: Array | None, lights: LightField, x: Array, y: Array) -> Array:
+    def flat_field(self, flats: Array | None, lights: LightField, x: Array, y: Array) -> Array:
         if not lights.near:
             raise TileError(
                 "detrend.images: inverse-square needs lamps at known positions, but the light model gives "

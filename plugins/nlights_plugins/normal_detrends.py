@@ -1,4 +1,4 @@
-"""Detrends of normals: the distortion that a flat reference shows."""
+"""Detrends of normals: the distortion that a flat shows."""
 
 from typing import ClassVar
 
@@ -15,7 +15,7 @@ class FlatResidual(NormalDetrend):
     The paper, section 2.2 C: "Different normal values are qualified as systematic distortions
     and their value is subtracted to the normal field of the represented object."  After
     `flat-field` with the same flat it is zero by construction; it serves when the images are
-    only divided by the computed plate.
+    only divided by a computed flat field.
     """
 
     name: ClassVar[str] = "flat-residual"

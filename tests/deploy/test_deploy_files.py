@@ -102,7 +102,7 @@ def test_the_servers_version_is_the_tested_one():
 def test_every_deployment_is_a_flow_with_the_parameters_it_is_given():
     described = yaml.safe_load((DEPLOY / "prefect.yaml").read_text())
     names = [one["name"] for one in described["deployments"]]
-    assert names == ["nightly", "plate-check", "digitise", "compare"]
+    assert names == ["nightly", "flat-check", "digitise", "compare"]
     for one in described["deployments"]:
         module, function = one["entrypoint"].split(":")
         flow = getattr(import_module(module), function)
@@ -118,7 +118,7 @@ def test_every_deployment_is_a_flow_with_the_parameters_it_is_given():
         futures = [n for n in tree.body if isinstance(n, ast.ImportFrom) and n.module == "__future__"]
         assert not futures, module
     scheduled = [one["name"] for one in described["deployments"] if one["schedules"]]
-    assert scheduled == ["nightly", "plate-check"]
+    assert scheduled == ["nightly", "flat-check"]
 
 
 def test_places_come_from_the_environment_or_are_those_of_the_operators_page(monkeypatch):

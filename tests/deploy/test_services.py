@@ -22,13 +22,13 @@ def services(tmp_path_factory):
     folder = tmp_path_factory.mktemp("night")
     (folder / "products").mkdir()
     list(night_captures.fill(folder / "inbox", whole=2, width=96, faults=False))
-    # The plate as an artwork: the photographs are its flats.
-    simulate(folder / "plate", load_stand("horizontal"), scene="plane", width=96, seed=9)
-    manifest = yaml.safe_load((folder / "plate" / "artwork.yaml").read_text())
+    # The flat as an artwork: the photographs are its flats.
+    simulate(folder / "flat", load_stand("horizontal"), scene="plane", width=96, seed=9)
+    manifest = yaml.safe_load((folder / "flat" / "artwork.yaml").read_text())
     manifest = {**manifest, "frames": "flat/light_{n}.tif", "flats": "flat/light_{n}.tif"}
-    (folder / "plate" / "artwork.yaml").write_text(yaml.safe_dump(manifest))
+    (folder / "flat" / "artwork.yaml").write_text(yaml.safe_dump(manifest))
     settings = {"PREFECT_FLOWS_HEARTBEAT_FREQUENCY": "30"}
-    places = folder / "inbox", folder / "products", folder / "plate"
+    places = folder / "inbox", folder / "products", folder / "flat"
     with Services(folder / "services", *places, ui=True, settings=settings) as services:
         services.register()
         yield services
@@ -54,7 +54,7 @@ def test_nobody_gets_in_without_the_secret(services):
 
 def test_everything_is_deployed_with_its_places_and_schedule(services):
     found = {one["name"]: one for one in services.ask("deployments/filter", {})}
-    assert set(found) == {"nightly", "plate-check", "digitise", "compare"}
+    assert set(found) == {"nightly", "flat-check", "digitise", "compare"}
     night = found["nightly"]
     assert night["parameters"]["inbox"] == services.environment["NLIGHTS_INBOX"]
     assert night["parameters"]["out"] == services.environment["NLIGHTS_PRODUCTS"]
@@ -62,7 +62,7 @@ def test_everything_is_deployed_with_its_places_and_schedule(services):
     assert night["schedules"][0]["schedule"]["cron"] == "0 20 * * *"
     assert night["schedules"][0]["schedule"]["timezone"] == "Europe/Rome"
     assert night["global_concurrency_limit"]["limit"] == 1
-    assert [len(found[name]["schedules"]) for name in ("plate-check", "digitise", "compare")] == [1, 0, 0]
+    assert [len(found[name]["schedules"]) for name in ("flat-check", "digitise", "compare")] == [1, 0, 0]
     assert [one["name"] for one in services.ask("automations/filter", {})] == ["nlights zombie runs"]
 
 
@@ -79,7 +79,7 @@ def test_the_server_plans_the_coming_nights(services):
 
 def test_the_worker_runs_the_night_on_postgres(services):
     services.worker.start()
-    check = services.run("plate-check/plate-check")
+    check = services.run("flat-check/flat-check")
     run = services.run("nightly/nightly", until=None, settle=0)
     state = ended(services, run)
     assert state["type"] == "COMPLETED", state["message"]
@@ -92,10 +92,10 @@ def test_the_worker_runs_the_night_on_postgres(services):
     # The database is PostgreSQL, not a file beside the server.
     assert services.environment["PREFECT_SERVER_DATABASE_CONNECTION_URL"].startswith("postgresql+asyncpg://")
     assert not list((services.folder / "prefect").glob("*.db"))
-    flat = ended(services, check)
-    assert flat["type"] == "COMPLETED", flat["message"]
-    assert "is flat as measured" in flat["message"]
-    assert len(list((products / "plate-checks").glob("*.json"))) == 1
+    checked = ended(services, check)
+    assert checked["type"] == "COMPLETED", checked["message"]
+    assert "came out flat" in checked["message"]
+    assert len(list((products / "flat-checks").glob("*.json"))) == 1
 
 
 @pytest.mark.skipif(page_pictures.chromium() is None, reason="there is no Chromium here")

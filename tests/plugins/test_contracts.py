@@ -9,7 +9,7 @@ from nlights_core.registry import installed
 from nlights_plugins.chrome_sphere import ChromeSphere
 from nlights_plugins.given_directions import GivenDirections
 from nlights_plugins.height_detrends import ParabolicFit
-from nlights_plugins.image_detrends import FlatField, InverseSquare
+from nlights_plugins.image_detrends import InverseSquare, PhotographedFlats
 from nlights_plugins.integrators import FrankotChellappa, Simchony
 from nlights_plugins.least_squares import LeastSquares
 from nlights_plugins.measured_poi import MeasuredPoi
@@ -28,8 +28,8 @@ class TestMeasuredPoiWithEmission(contracts.LightModelContract):
     algorithm = MeasuredPoi(emission=True)
 
 
-class TestFlatField(contracts.ImageDetrendContract):
-    algorithm = FlatField()
+class TestPhotographedFlats(contracts.ImageDetrendContract):
+    algorithm = PhotographedFlats()
 
 
 class TestInverseSquare(contracts.ImageDetrendContract):

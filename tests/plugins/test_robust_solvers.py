@@ -23,7 +23,7 @@ ELECTRONS = 60_000
 def photographed(finish, seed=0):
     """A rough surface under the eight lamps of a stand: images, lights, weights, true normals.
 
-    Plate-relative, as the stage hands it to a solver: a dim lamp has a small weight.
+    Relative to the flat field, as the stage hands it to a solver: a dim lamp has a small weight.
     """
     random = np.random.default_rng(seed)
     shape = (60, 80)

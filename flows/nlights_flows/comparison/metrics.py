@@ -83,7 +83,7 @@ DESCRIBED = {
     "angle_error_p95": ("Error of the normals, 95 % are below", "°"),
     "height_error_plane": ("Error of the height after the best plane, rms", "mm"),
     "known": ("Known share", "% of pixels"),
-    "plate_fit": ("Plate fit, rms", "µm"),
+    "flat_fit": ("Flat fit, rms", "µm"),
     "seconds": ("Time of all its stages, shared ones included", "s"),
     "peak_memory": ("Peak memory of its stages, mapped files included", "MiB"),
 }
@@ -93,7 +93,7 @@ QUALITY = {
     "held_out": "Held-out lamp, rms",
     "misclosure": "Misclosure of the slopes, rms",
     "known": "Known share",
-    "plate_fit": "Plate fit, rms",
+    "flat_fit": "Flat fit, rms",
 }
 """What the numbers of ``quality.json`` are called there."""
 

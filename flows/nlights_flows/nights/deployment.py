@@ -6,7 +6,7 @@ from pathlib import Path
 PLACES = {
     "inbox": ("NLIGHTS_INBOX", "/srv/nlights/inbox"),
     "products": ("NLIGHTS_PRODUCTS", "/srv/nlights/products"),
-    "plate": ("NLIGHTS_PLATE", "/srv/nlights/plate"),
+    "flat": ("NLIGHTS_FLAT", "/srv/nlights/flat"),
     "until": ("NLIGHTS_UNTIL", "06:00"),
     "evening": ("NLIGHTS_EVENING", "0 20 * * *"),
     "weekly": ("NLIGHTS_WEEKLY", "0 7 * * 1"),
@@ -38,7 +38,7 @@ def places() -> dict[str, str]:
     '/data/inbox'
     """
     found = {name: os.environ.get(variable) or default for name, (variable, default) in PLACES.items()}
-    for name in ("inbox", "products", "plate"):
+    for name in ("inbox", "products", "flat"):
         if not Path(found[name]).is_absolute():
             raise ValueError(
                 f"{PLACES[name][0]}: '{found[name]}' is not absolute; write it from the root, as {PLACES[name][1]}"

@@ -1,4 +1,4 @@
-"""Trends of a stand from capture to capture, as control charts: each lamp's flat, the plate, the noise."""
+"""Trends of a stand from capture to capture, as control charts: each lamp's flat, how it fits, the noise."""
 
 from __future__ import annotations
 
@@ -42,9 +42,7 @@ def measured(products: Path) -> dict[str, Any] | None:
     except (OSError, ValueError):
         return None
     stand = (provenance.get("stand") or {}).get("name")
-    flats = next(
-        (stage["facts"].get("flats") for stage in provenance["stages"] if stage["stage"] == "plate"), None
-    )
+    flats = next((s["facts"].get("flats") for s in provenance["stages"] if s["stage"] == "flat_field"), None)
     if not stand or not flats:
         return None
     digest = hashlib.sha256(json.dumps(flats, sort_keys=True).encode()).hexdigest()[:12]

@@ -36,29 +36,27 @@ def digitise_tile(
     """
     detrend = recipe.detrend
     lights = call(stages.lights, tile, recipe.light_model)
-    plate = call(stages.plate, tile, detrend.images, lights) if detrend.images else None
-    bias = (
-        call(stages.bias, tile, detrend.normals, recipe.normals, lights, plate) if detrend.normals else None
-    )
-
-    overview = trend = None
+    flat_field = call(stages.flat_field, tile, detrend.images, lights) if detrend.images else None
+    bias = overview = trend = None
+    if detrend.normals:
+        bias = call(stages.bias, tile, detrend.normals, recipe.normals, lights, flat_field)
     if recipe.passes > 1:
-        overview = call(stages.overview, tile, lights, plate, recipe.passes - 1)
-    # Only a photographed plate knows what white is.
+        overview = call(stages.overview, tile, lights, flat_field, recipe.passes - 1)
+    # Only a photographed flat knows what white is.
     white = detrend.images is not None and "flats" in detrend.images.needs
-    normals = call(stages.normals, tile, recipe.normals, lights, plate, bias, overview, white)
+    normals = call(stages.normals, tile, recipe.normals, lights, flat_field, bias, overview, white)
     height = integrated = call(stages.height, tile, recipe.integrator, normals)
     if detrend.height:
         height = trend = call(stages.trend, tile, detrend.height, height)
     if _levels(recipe):
-        height = call(stages.level, tile, lights, plate, height, overview)
+        height = call(stages.level, tile, lights, flat_field, height, overview)
 
     perspective = recipe.integrable and getattr(recipe.integrator, "perspective", False)
     surface = integrated if recipe.integrable else None
     maps = call(stages.maps, tile, normals, height, trend, surface, perspective, compression)
     mesh = call(stages.mesh, tile, maps, height)
     record = recipe_record(recipe)
-    report = call(stages.report, tile, record, lights, plate, bias, normals, height, trend, maps, mesh)
+    report = call(stages.report, tile, record, lights, flat_field, bias, normals, height, trend, maps, mesh)
     return {"maps": maps, "mesh": mesh, "report": report}
 
 
@@ -75,6 +73,6 @@ def steps(recipe: Recipe) -> int:
 
 
 def _levels(recipe: Recipe) -> bool:
-    """Whether the height's constant matters and can be found: a second pass, and a photographed plate."""
+    """Whether the height's constant matters and can be found: a second pass, and a photographed flat."""
     images = recipe.detrend.images
     return recipe.passes > 1 and images is not None and "flats" in images.needs

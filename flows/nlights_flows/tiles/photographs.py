@@ -56,8 +56,8 @@ class Photographs:
         damaged may only be half-way here.
 
         The digests are those that the stages ask for anyway, so a file is read once.  They are found
-        beside the stages, in the order in which they are asked for: a plate needs those of the flats.  A stage that
-        asks for one before its turn reads that file itself.
+        beside the stages, in the order in which they are asked for: a flat field needs those of
+        the flats.  A stage that asks for one before its turn reads that file itself.
 
         Raises
         ------

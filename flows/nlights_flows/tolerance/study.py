@@ -106,7 +106,7 @@ class Study:
 
 
 def compared_recipes(recipe: Recipe) -> dict[str, Recipe]:
-    """A recipe with its flat field, and with the plate computed from the lamps in its stead.
+    """A recipe with its flat field, and with one computed from the lamps in its stead.
 
     Parameters
     ----------

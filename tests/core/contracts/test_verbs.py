@@ -87,8 +87,8 @@ def written(array):
             asked(NormalDetrend, "bias", lambda n: written(n.normals)), normal_field(HILLS, GRID)
         ),
         lambda: verbs.trend(asked(HeightDetrend, "trend", lambda z: z.height.sort()), height_map(HILLS, GRID)),
-        lambda: verbs.plate(
-            asked(ImageDetrend, "plate", lambda flats, lights, x, y: written(lights.positions)),
+        lambda: verbs.flat_field(
+            asked(ImageDetrend, "flat_field", lambda flats, lights, x, y: written(lights.positions)),
             None, lamps(), np.zeros(3), np.zeros(2), 1,
         ),
     ],
@@ -199,14 +199,14 @@ def test_lights_of_other_lamps_are_refused():
 
 
 @pytest.mark.parametrize("value", [-0.1, np.inf])
-def test_a_plate_that_is_not_positive_is_refused(value):
+def test_a_flat_field_that_is_not_positive_is_refused(value):
     reading = np.ones((8, 2, 3, 1), np.float32)
     reading[3, 1, 1] = value
-    detrend = asked(ImageDetrend, "plate", lambda *given: reading)
-    with pytest.raises(TileError, match=r"slip .* should return a positive plate; got"):
-        verbs.plate(detrend, None, lamps(), np.zeros(3), np.zeros(2), 3)
+    detrend = asked(ImageDetrend, "flat_field", lambda *given: reading)
+    with pytest.raises(TileError, match=r"slip .* should return a positive flat field; got"):
+        verbs.flat_field(detrend, None, lamps(), np.zeros(3), np.zeros(2), 3)
     reading[3, 1, 1] = np.nan  # not known
-    verbs.plate(detrend, None, lamps(), np.zeros(3), np.zeros(2), 3)
+    verbs.flat_field(detrend, None, lamps(), np.zeros(3), np.zeros(2), 3)
 
 
 def test_a_trend_in_another_unit_or_with_holes_is_refused():

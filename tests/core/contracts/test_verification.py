@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 
 from nlights_core.algorithms import NormalSolver, Solution
-from nlights_core.contracts.verification import checked_array, checked_height, checked_plate, checked_solution
+from nlights_core.contracts.verification import (
+    checked_array,
+    checked_flat_field,
+    checked_height,
+    checked_solution,
+)
 from nlights_core.errors import TileError
 from nlights_core.fields import HeightMap
 from nlights_core.frames import PixelGrid
@@ -81,8 +86,11 @@ def test_a_height_of_another_shape_or_wholly_unknown_is_refused():
         checked_height(Simchony(), np.zeros((2, 3), np.float32), grid.shape)
 
 
-def test_a_plate_has_one_channel_or_the_photographs():
+def test_a_flat_field_has_one_channel_or_the_photographs():
     for channels in (1, 3):
-        assert checked_plate(Slip(), np.ones((*SHAPE, channels), np.float32), SHAPE, 3).shape[-1] == channels
-    with pytest.raises(TileError, match="the plate of shape"):
-        checked_plate(Slip(), np.ones((*SHAPE, 2), np.float32), SHAPE, 3)
+        assert (
+            checked_flat_field(Slip(), np.ones((*SHAPE, channels), np.float32), SHAPE, 3).shape[-1]
+            == channels
+        )
+    with pytest.raises(TileError, match="the flat field of shape"):
+        checked_flat_field(Slip(), np.ones((*SHAPE, 2), np.float32), SHAPE, 3)

@@ -1,4 +1,4 @@
-"""What flats say about the lamps, on plates whose lamps are known."""
+"""What flats say about the lamps, where the lamps are known."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from nlights_core.configurations import load_stand
 from nlights_core.errors import TileError
 from nlights_core.fields import LightField
 from nlights_core.frames import Array, PixelGrid
-from nlights_core.lamps.emission import Emission, fit_emission, plate, plate_fit
+from nlights_core.lamps.emission import Emission, computed_flat_field, fit_emission, flat_fit
 from nlights_core.simulation.illumination import lamp_groups, shine
 from nlights_core.simulation.scenes import synthetic_stand
 from nlights_core.stands import Stand
@@ -54,7 +54,7 @@ def ideal() -> tuple[Stand, LightField, Array]:
     )
     nothing = np.zeros((8, 3))
     emission = Emission(lights, np.array([-0.04, 0.03]), 0.0, nothing, nothing, 0.0, 0.0, 0.0, (), True)
-    return stand, lights, plate(emission, stand, X, Y)
+    return stand, lights, computed_flat_field(emission, stand, X, Y)
 
 
 def test_ideal_lamps_are_found_as_they_are(ideal: tuple[Stand, LightField, Array]) -> None:
@@ -71,11 +71,11 @@ def test_ideal_lamps_are_found_as_they_are(ideal: tuple[Stand, LightField, Array
 
 def test_a_flat_measured_with_ideal_lamps_comes_out_flat(ideal: tuple[Stand, LightField, Array]) -> None:
     stand, _, reading = ideal
-    peak_to_valley, rms = plate_fit(reading, fitted(reading, stand), stand, X, Y)
+    peak_to_valley, rms = flat_fit(reading, fitted(reading, stand), stand, X, Y)
     assert rms < peak_to_valley < 20
 
 
-def test_the_bow_of_a_plate_is_measured(ideal: tuple[Stand, LightField, Array]) -> None:
+def test_the_bow_of_a_flat_is_measured(ideal: tuple[Stand, LightField, Array]) -> None:
     """To first order a slope (p, q) changes the reading of a lamp at L by -(p Lx + q Ly) / Lz."""
     stand, _, reading = ideal
     emission = fitted(reading, stand)
@@ -83,7 +83,7 @@ def test_the_bow_of_a_plate_is_measured(ideal: tuple[Stand, LightField, Array]) 
     slope = curvature * np.stack(np.meshgrid(X, Y))
     rays = stand.lamp_positions()[:, :2, None, None] - np.stack(np.meshgrid(X, Y))
     shading = 1 - np.sum(rays * slope, axis=1) / stand.lamp_positions()[:, 2, None, None]
-    peak_to_valley, _ = plate_fit(reading * shading[..., None], emission, stand, X, Y)
+    peak_to_valley, _ = flat_fit(reading * shading[..., None], emission, stand, X, Y)
     expected = 1000 * curvature / 2 * (250**2 + 187.5**2)
     assert peak_to_valley == pytest.approx(expected, rel=0.1)
 
@@ -126,7 +126,7 @@ def test_swapped_lamps_are_named() -> None:
     assert set(found.suspects) == {names[0], names[2]}
 
 
-def test_a_plate_that_is_mostly_unknown_is_refused() -> None:
+def test_a_flat_that_is_mostly_unknown_is_refused() -> None:
     stand = load_stand("horizontal")
     reading = photographed(stand, 0)
     reading[3, :, :70] = np.nan

@@ -54,8 +54,8 @@ def photographed(lights: LightField, seed: int) -> Array:
     return np.asarray(shading * painted(random) * random.normal(1, 0.002, shading.shape))
 
 
-def plate_error(found: LightField, true: LightField) -> float:
-    """Rms share by which computed plates differ, but for a factor common to all lamps."""
+def flat_field_error(found: LightField, true: LightField) -> float:
+    """Rms share by which computed flat fields differ, but for a factor common to all lamps."""
     points = np.stack([*np.meshgrid(X, Y), np.zeros(GRID.shape)])
     ratio = [np.log(f.vectors(points)[..., 2] * f.power[:, :, None]) for f in (found, true)]
     return float(np.std(ratio[0] - ratio[1]))
@@ -66,8 +66,8 @@ def test_wrong_lamps_are_mended(seed: int) -> None:
     given = given_lamps()
     true = off(given, seed)
     found = fit_emission_on_artwork(photographed(true, seed), given, X, Y)
-    assert plate_error(given, true) > 0.1
-    assert plate_error(found, true) < 0.2 * plate_error(given, true)
+    assert flat_field_error(given, true) > 0.1
+    assert flat_field_error(found, true) < 0.2 * flat_field_error(given, true)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -103,7 +103,7 @@ def test_blocks_that_are_not_known_are_left_out() -> None:
     images[:3, 5:12, 5:15] = np.nan
     images[4, 20:24] = 0
     found = fit_emission_on_artwork(images, given, X, Y)
-    assert plate_error(found, true) < 0.2 * plate_error(given, true)
+    assert flat_field_error(found, true) < 0.2 * flat_field_error(given, true)
 
 
 def test_an_artwork_in_the_dark_is_refused() -> None:

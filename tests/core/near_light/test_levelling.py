@@ -9,37 +9,37 @@ from nlights_core.fields import LightField
 from nlights_core.manifest import load_capture
 from nlights_core.near_light.levelling import Level, level, read_level, write_level
 from nlights_core.photographs.development import darkroom
-from nlights_core.photographs.plates import read_plate
+from nlights_core.photographs.flat_fields import read_flat_field
 from nlights_core.recipe import load_recipe
 from nlights_core.simulation.captures import simulate
-from nlights_core.stages import lights, plate
+from nlights_core.stages import flat_field, lights
 from nlights_core.store import Store
 
 
 @pytest.fixture(scope="module", params=["relief", "painting"])
 def scene(request, tmp_path_factory):
-    """A tile, its lamps, its plate and its true height."""
+    """A tile, its lamps, its flat field and its true height."""
     folder = tmp_path_factory.mktemp(request.param)
     simulate(folder / "capture", load_stand("horizontal"), scene=request.param, width=240, seed=4)
     tile, recipe, store = load_capture(folder / "capture")[0], load_recipe("default"), Store(folder / "store")
     first = lights(store, tile, recipe.light_model)
     store.ensure(first)
-    second = plate(store, tile, recipe.detrend.images, first.ref)
+    second = flat_field(store, tile, recipe.detrend.images, first.ref)
     store.ensure(second)
     stand = load_stand("horizontal")
     field = LightField(tile.lamps, positions=stand.lamp_positions())
     return (
         tile,
         field,
-        read_plate(store.path(second.ref)),
+        read_flat_field(store.path(second.ref)),
         tifffile.imread(folder / "capture/truth/height.tif"),
     )
 
 
 def found(scene, field, height, tmp_path, assumed=None) -> Level:
-    tile, _, flat, _ = scene
+    tile, _, flat_field, _ = scene
     with darkroom(tile, tmp_path) as room:
-        return level(room, field, flat, height, assumed)
+        return level(room, field, flat_field, height, assumed)
 
 
 @pytest.mark.parametrize("lost", [0.0, -0.7, 3.0])
@@ -81,12 +81,12 @@ def test_noise_is_not_taken_for_height(tmp_path):
     tile, recipe, store = load_capture(tmp_path / "c")[0], load_recipe("default"), Store(tmp_path / "store")
     first = lights(store, tile, recipe.light_model)
     store.ensure(first)
-    second = plate(store, tile, recipe.detrend.images, first.ref)
+    second = flat_field(store, tile, recipe.detrend.images, first.ref)
     store.ensure(second)
     field = LightField(tile.lamps, positions=load_stand("vertical-dark").lamp_positions())
     with darkroom(tile, tmp_path) as room:
-        flat = read_plate(store.path(second.ref))
-        result = level(room, field, flat, np.zeros(room.grid.shape, np.float32))
+        divisor = read_flat_field(store.path(second.ref))
+        result = level(room, field, divisor, np.zeros(room.grid.shape, np.float32))
     assert result.uncertainty is not None
     assert abs(result.offset) < result.uncertainty < 1
 
@@ -96,11 +96,13 @@ def test_gloss_is_not_taken_for_height(tmp_path):
     tile, recipe, store = load_capture(tmp_path / "c")[0], load_recipe("default"), Store(tmp_path / "store")
     first = lights(store, tile, recipe.light_model)
     store.ensure(first)
-    second = plate(store, tile, recipe.detrend.images, first.ref)
+    second = flat_field(store, tile, recipe.detrend.images, first.ref)
     store.ensure(second)
     field = LightField(tile.lamps, positions=load_stand("horizontal").lamp_positions())
     with darkroom(tile, tmp_path) as room:
-        result = level(room, field, read_plate(store.path(second.ref)), np.zeros(room.grid.shape, np.float32))
+        result = level(
+            room, field, read_flat_field(store.path(second.ref)), np.zeros(room.grid.shape, np.float32)
+        )
     assert result.uncertainty is None
     assert result.offset == 0
     np.testing.assert_array_equal(result.strengths, 1)

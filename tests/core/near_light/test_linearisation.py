@@ -10,10 +10,10 @@ from nlights_core.manifest import load_capture
 from nlights_core.near_light.levelling import level
 from nlights_core.near_light.linearisation import Strip, linearised
 from nlights_core.photographs.development import darkroom
-from nlights_core.photographs.plates import read_plate
+from nlights_core.photographs.flat_fields import read_flat_field
 from nlights_core.recipe import load_recipe
 from nlights_core.simulation.captures import simulate
-from nlights_core.stages import lights, plate
+from nlights_core.stages import flat_field, lights
 from nlights_core.store import Store
 
 pytestmark = pytest.mark.skipif(not available(), reason="there are no compiled loops to compare")
@@ -21,16 +21,16 @@ pytestmark = pytest.mark.skipif(not available(), reason="there are no compiled l
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory):
-    """A painting's tile, its lamps and its plate, which a lens has seen."""
+    """A painting's tile, its lamps and its flat field, seen through a lens."""
     folder = tmp_path_factory.mktemp("painting")
     simulate(folder / "capture", load_stand("horizontal"), scene="painting", width=240, seed=4)
     tile, recipe, store = load_capture(folder / "capture")[0], load_recipe("default"), Store(folder / "store")
     first = lights(store, tile, recipe.light_model)
     store.ensure(first)
-    second = plate(store, tile, recipe.detrend.images, first.ref)
+    second = flat_field(store, tile, recipe.detrend.images, first.ref)
     store.ensure(second)
     field = LightField(tile.lamps, positions=load_stand("horizontal").lamp_positions())
-    return tile, field, read_plate(store.path(second.ref))
+    return tile, field, read_flat_field(store.path(second.ref))
 
 
 def by_both(monkeypatch, work):
@@ -42,8 +42,8 @@ def by_both(monkeypatch, work):
 
 @pytest.mark.parametrize("raised", [None, 3.0, -20.0])
 def test_compiled_development_is_that_of_numpy(scene, tmp_path, monkeypatch, raised):
-    tile, field, flat = scene
-    assert flat.vignetting != 0
+    tile, field, flat_field = scene
+    assert flat_field.vignetting != 0
     field = field.stronger(np.linspace(0.8, 1.2, len(field.lamps)))
     with darkroom(tile, tmp_path) as room:
         raw = room.raw(20, 40, field)
@@ -52,16 +52,18 @@ def test_compiled_development_is_that_of_numpy(scene, tmp_path, monkeypatch, rai
         if raised is not None:
             height = (raised + np.random.default_rng(0).normal(size=raw.inside.shape)).astype(np.float32)
             height[3, 7] = np.nan
-        compiled, plain = by_both(monkeypatch, lambda: room.develop(raw, field, flat, height))
+        compiled, plain = by_both(monkeypatch, lambda: room.develop(raw, field, flat_field, height))
     for name in ("images", "lights", "grey", "weights"):
         np.testing.assert_allclose(getattr(compiled, name), getattr(plain, name), rtol=1e-5, atol=1e-6)
     assert not compiled.weights[2, :5].any()
 
 
-def test_a_plate_of_one_channel_divides_every_colour(scene, tmp_path, monkeypatch):
-    tile, field, flat = scene
-    grey = flat.logarithm.mean(axis=-1, keepdims=True)
-    computed = type(flat)(grey, flat.left, flat.top, flat.step, flat.camera, flat.vignetting)
+def test_a_flat_field_of_one_channel_divides_every_colour(scene, tmp_path, monkeypatch):
+    tile, field, flat_field = scene
+    grey = flat_field.logarithm.mean(axis=-1, keepdims=True)
+    computed = type(flat_field)(
+        grey, flat_field.left, flat_field.top, flat_field.step, flat_field.camera, flat_field.vignetting
+    )
     with darkroom(tile, tmp_path) as room:
         raw = room.raw(0, 20, field)
         compiled, plain = by_both(monkeypatch, lambda: room.develop(raw, field, computed))
@@ -70,11 +72,15 @@ def test_a_plate_of_one_channel_divides_every_colour(scene, tmp_path, monkeypatc
         np.testing.assert_allclose(getattr(compiled, name), getattr(plain, name), rtol=1e-5, atol=1e-6)
 
 
-def test_a_plate_that_is_dark_somewhere_leaves_the_sample_out_in_either_way(scene, tmp_path, monkeypatch):
-    tile, field, flat = scene
-    logarithm = flat.logarithm.copy()
+def test_a_flat_field_that_is_dark_somewhere_leaves_the_sample_out_in_either_way(
+    scene, tmp_path, monkeypatch
+):
+    tile, field, flat_field = scene
+    logarithm = flat_field.logarithm.copy()
     logarithm[1, :, : logarithm.shape[2] // 2] = -40
-    dark = type(flat)(logarithm, flat.left, flat.top, flat.step, flat.camera, flat.vignetting)
+    dark = type(flat_field)(
+        logarithm, flat_field.left, flat_field.top, flat_field.step, flat_field.camera, flat_field.vignetting
+    )
     with darkroom(tile, tmp_path) as room:
         raw = room.raw(0, 20, field)
         compiled, plain = by_both(monkeypatch, lambda: room.develop(raw, field, dark))
@@ -84,7 +90,7 @@ def test_a_plate_that_is_dark_somewhere_leaves_the_sample_out_in_either_way(scen
 
 
 def test_compiled_normal_equations_are_those_of_numpy(scene, tmp_path, monkeypatch):
-    tile, field, flat = scene
+    tile, field, flat_field = scene
     random = np.random.default_rng(1)
     count = len(field.lamps)
     with darkroom(tile, tmp_path) as room:
@@ -95,7 +101,7 @@ def test_compiled_normal_equations_are_those_of_numpy(scene, tmp_path, monkeypat
         strip = Strip(raw, height, random.normal(size=(count, *height.shape)))
 
         def sums():
-            part = linearised(room, field, flat, strip, 0.1, np.full(count, 0.01), np.zeros(count))
+            part = linearised(room, field, flat_field, strip, 0.1, np.full(count, 0.01), np.zeros(count))
             again = part.reweighted(part.surprise, 2.0)
             return again.sums(1.3)
 
@@ -106,10 +112,10 @@ def test_compiled_normal_equations_are_those_of_numpy(scene, tmp_path, monkeypat
 
 
 def test_the_level_is_the_same_with_and_without_compiled_loops(scene, tmp_path, monkeypatch):
-    tile, field, flat = scene
+    tile, field, flat_field = scene
     with darkroom(tile, tmp_path) as room:
         height = np.zeros(room.grid.shape, np.float32)
-        compiled, plain = by_both(monkeypatch, lambda: level(room, field, flat, height))
+        compiled, plain = by_both(monkeypatch, lambda: level(room, field, flat_field, height))
     assert plain.uncertainty is not None
     assert compiled.uncertainty == pytest.approx(plain.uncertainty, rel=1e-4)
     # A thousandth of what is known about it.
@@ -122,11 +128,11 @@ def test_what_is_not_known_of_a_height_does_not_keep_its_level_from_being_found(
     scene, tmp_path, monkeypatch, kernels
 ):
     monkeypatch.setenv(SWITCH, kernels)
-    tile, field, flat = scene
+    tile, field, flat_field = scene
     with darkroom(tile, tmp_path) as room:
         height = np.zeros(room.grid.shape, np.float32)
-        whole = level(room, field, flat, height)
+        whole = level(room, field, flat_field, height)
         height[:, :40] = np.nan
-        some = level(room, field, flat, height)
+        some = level(room, field, flat_field, height)
     assert some.uncertainty is not None
     assert some.offset == pytest.approx(whole.offset, abs=0.05)

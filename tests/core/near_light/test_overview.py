@@ -11,7 +11,7 @@ from nlights_core.near_light.overview import Enlarged, block_edge, reduced_room
 from nlights_core.photographs.development import darkroom
 from nlights_core.recipe import load_recipe
 from nlights_core.simulation.captures import simulate
-from nlights_core.stages import lights, overview, plate
+from nlights_core.stages import flat_field, lights, overview
 from nlights_core.store import Store
 
 
@@ -63,9 +63,9 @@ def test_the_height_of_a_relief_is_found_to_some_hundredths(relief, tmp_path):
     tile, recipe, store = load_capture(relief)[0], load_recipe("default"), Store(tmp_path / "store")
     lamps = lights(store, tile, recipe.light_model)
     store.ensure(lamps)
-    flat = plate(store, tile, recipe.detrend.images, lamps.ref)
-    store.ensure(flat)
-    work = overview(store, tile, lamps.ref, flat.ref, 2)
+    white = flat_field(store, tile, recipe.detrend.images, lamps.ref)
+    store.ensure(white)
+    work = overview(store, tile, lamps.ref, white.ref, 2)
     store.ensure(work)
     truth = tifffile.imread(relief / "truth" / "height.tif")
     found = Enlarged(np.load(store.path(work.ref) / "height.npy"), 2, truth.shape)[0 : len(truth)]
@@ -88,11 +88,11 @@ def test_a_drift_of_the_lamps_does_not_bend_the_height_that_it_is_found_with(rel
     recipe, store = load_recipe("default"), Store(tmp_path / "store")
     lamps = lights(store, tile, recipe.light_model)
     store.ensure(lamps)
-    flat = plate(store, tile, recipe.detrend.images, lamps.ref)
-    store.ensure(flat)
+    white = flat_field(store, tile, recipe.detrend.images, lamps.ref)
+    store.ensure(white)
     deviations = []
     for passes in (1, 4):
-        work = overview(store, tile, lamps.ref, flat.ref, passes)
+        work = overview(store, tile, lamps.ref, white.ref, passes)
         store.ensure(work)
         truth = tifffile.imread(relief / "truth" / "height.tif")
         found = Enlarged(np.load(store.path(work.ref) / "height.npy"), 2, truth.shape)

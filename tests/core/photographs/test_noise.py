@@ -90,12 +90,12 @@ def test_photographs_without_noise_are_not_taken_to_be_perfect():
 def test_weights_are_the_inverse_variance_of_a_reading():
     noise = Noise(np.full(3, 5e-5), np.full(3, 4e-7))
     shares = np.array([0.4, 0.35, 0.25], np.float32)
-    plate, albedo = 0.1 * shares / shares.mean(), np.array([0.05, 0.5])
+    light, albedo = 0.1 * shares / shares.mean(), np.array([0.05, 0.5])
     random = np.random.default_rng(0)
-    signal = albedo[:, None, None] * plate
+    signal = albedo[:, None, None] * light
     drawn = signal + random.standard_normal((2, 200_000, 3)) * np.sqrt(5e-5 * signal + 4e-7)
-    variance = (drawn / plate @ shares).var(axis=1)
-    weights = np.full((8, 2, 1), 1 / noise.photons(plate.astype(np.float32), shares), np.float32)
+    variance = (drawn / light @ shares).var(axis=1)
+    weights = np.full((8, 2, 1), 1 / noise.photons(light.astype(np.float32), shares), np.float32)
     noise.with_readout(weights, np.broadcast_to(albedo[:, None], (8, 2, 1)).astype(np.float32), shares)
     np.testing.assert_allclose(albedo / weights[0, :, 0], variance, rtol=0.03)
 

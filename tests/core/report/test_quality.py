@@ -105,8 +105,10 @@ def test_shares_count_pixels():
     used[:30] = 5
     saturated = np.zeros(GRID.shape, np.uint8)
     saturated[:6] = 3
-    plate = np.ones((8, 3, 4, 1), np.float32)
-    numbers = measure({"normals": normals, "used": used, "saturated": saturated, "plate": plate}, GRID)
+    flat_field = np.ones((8, 3, 4, 1), np.float32)
+    numbers = measure(
+        {"normals": normals, "used": used, "saturated": saturated, "flat_field": flat_field}, GRID
+    )
     assert value(numbers, "Known share") == pytest.approx(75)
     assert value(numbers, "Lights used, mean") == pytest.approx(6.5)
     assert value(numbers, "Pixels with all 8 lights") == pytest.approx(50)
@@ -127,16 +129,16 @@ def test_residual_and_albedo_average_what_is_known():
 
 
 def test_what_was_removed_is_stated_with_its_amplitude():
-    plate = np.ones((2, 3, 4, 1), np.float32)
-    plate[0, 0, 0], plate[1, 1, 1], plate[1, 2, 2] = 3, 0.5, np.nan
+    flat_field = np.ones((2, 3, 4, 1), np.float32)
+    flat_field[0, 0, 0], flat_field[1, 1, 1], flat_field[1, 2, 2] = 3, 0.5, np.nan
     trend = np.zeros(GRID.shape, np.float32)
     trend[3, 4], trend[50, 2] = -0.25, 0.5
     bias = np.zeros((*GRID.shape, 3), np.float32)
     bias[9, 9] = [np.sin(np.radians(2)), 0, np.cos(np.radians(2)) - 1]
-    numbers = measure({"plate": plate, "trend": trend, "bias": bias}, GRID)
+    numbers = measure({"flat_field": flat_field, "trend": trend, "bias": bias}, GRID)
     assert value(numbers, "Uneven light, lamp 1 of 2") == pytest.approx(3)
     assert value(numbers, "Uneven light, lamp 2 of 2") == pytest.approx(2)
-    named = measure({"plate": plate}, GRID, ("Relio_1", "Relio_2"))
+    named = measure({"flat_field": flat_field}, GRID, ("Relio_1", "Relio_2"))
     assert value(named, "Uneven light, Relio_2") == pytest.approx(2)
     assert value(numbers, "Trend of the height, peak to valley") == pytest.approx(0.75)
     assert value(numbers, "Bias of the normals, largest") == pytest.approx(2, rel=1e-3)
@@ -150,7 +152,7 @@ def test_what_was_not_measured_has_no_value_rather_than_a_good_one():
 
 def test_a_step_that_the_recipe_lacks_is_told_from_one_that_found_nothing():
     nothing = {
-        "plate": np.full((1, 3, 4, 1), np.nan, np.float32),
+        "flat_field": np.full((1, 3, 4, 1), np.nan, np.float32),
         "trend": np.full(GRID.shape, np.nan, np.float32),
         "bias": np.full((*GRID.shape, 3), np.nan, np.float32),
     }
@@ -184,7 +186,7 @@ def test_no_digit_is_shown_that_means_nothing(number, unit, text):
     assert figure_of(number, unit) == text
 
 
-def test_a_plate_is_as_uneven_as_the_mean_of_its_colours():
+def test_a_flat_field_is_as_uneven_as_the_mean_of_its_colours():
     reading = np.array([[[1.0, 3.0], [4.0, 8.0], [np.nan, 100.0], [0.0, 0.0]]])
     assert unevenness(reading) == pytest.approx(3)
     assert unevenness(np.zeros((2, 2, 3))) is None

@@ -42,7 +42,7 @@ def tile(rows=48, columns=64, channels=3, known=1.0, unit="mm"):
         "used": rng.integers(1, 4, (rows, columns)).astype(np.uint8),
         "saturated": np.zeros((rows, columns), np.uint8),
         "reflection": rng.normal(0, 0.02, (rows, columns, channels)).astype(np.float32),
-        "plate": 1 + rng.random((3, 6, 8, channels), dtype=np.float32),
+        "flat_field": 1 + rng.random((3, 6, 8, channels), dtype=np.float32),
         "trend": (0.01 * x).astype(np.float32),
         "bias": np.full((rows, columns, 3), 0.001, np.float32),
         "frames": rng.random((3, 12, 16, channels), dtype=np.float32),
@@ -199,7 +199,7 @@ def test_the_albedo_says_what_it_counts_from(tmp_path):
     assert "stated reflectance of 0.9" in written(tmp_path, record, maps, grid).read()
     record["white"] = None
     words = written(tmp_path, record, maps, grid).read()
-    assert "Relative: there was no white reference" in words
+    assert "Relative: there was no flat" in words
     assert "perfect diffuser" not in words
 
 

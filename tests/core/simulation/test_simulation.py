@@ -74,7 +74,7 @@ def test_true_normals_are_the_slopes_of_the_true_height(tmp_path):
 
 
 def test_frames_over_flats_give_the_normals_and_the_albedo_back(painting):
-    """Plate-relative least squares, with only the measured positions known."""
+    """Least squares relative to the flat, with only the measured positions known."""
     height, albedo = read(painting, "truth/height.tif"), read(painting, "truth/albedo.tif")
     grid = PixelGrid(120, 160, 500 / 160, (0.0, 0.0, 1540.0))
     lamps = LightField(tuple(STAND.lamps), positions=STAND.lamp_positions())
@@ -87,7 +87,7 @@ def test_frames_over_flats_give_the_normals_and_the_albedo_back(painting):
     solved = np.linalg.solve(matrix, right[..., None])[..., 0]
     angles = angles_between(solved, read(painting, "truth/normals.tif"))
     assert angles.mean() < 0.35  # the flats' own noise is not smoothed here
-    found = np.linalg.norm(solved, axis=-1) * simulation.PLATE_ALBEDO
+    found = np.linalg.norm(solved, axis=-1) * simulation.FLAT_ALBEDO
     assert np.median(found / albedo.mean(axis=-1)) == pytest.approx(1, abs=0.005)
 
 

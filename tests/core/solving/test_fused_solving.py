@@ -14,7 +14,7 @@ from nlights_core.fields import LightField
 from nlights_core.machine import kernel_switch
 from nlights_core.manifest import load_capture
 from nlights_core.photographs.development import darkroom
-from nlights_core.photographs.plates import Plate, continued
+from nlights_core.photographs.flat_fields import FlatField, continued
 from nlights_core.simulation.captures import simulate
 from nlights_core.solving import band_solving as solving
 from nlights_core.solving import fused_solving, kernels, least_squares
@@ -53,14 +53,14 @@ def near(tile) -> LightField:
     return LightField(tile.lamps, positions=STAND.lamp_positions(), power=power)
 
 
-def plate(tile, channels: int = 3) -> Plate:
+def flat_field(tile, channels: int = 3) -> FlatField:
     """Roughly what the flats show, made of the lamps' geometry, seen through a lens that vignettes."""
     x, y = np.linspace(-248, 248, 62), np.linspace(186, -186, 46)
     points = np.stack([*np.meshgrid(x, y), np.zeros((46, 62))])
     lamps = LightField(tile.lamps, positions=STAND.lamp_positions())
     reading = 0.4 * lamps.vectors(points)[..., 2:] * np.array([1, 0.9, 0.7])[:channels]
     found = continued(reading.astype(np.float32), x, y, float(x[1] - x[0]))
-    return Plate(found.logarithm, found.left, found.top, found.step, (20.0, -10.0, 1500.0), 0.7)
+    return FlatField(found.logarithm, found.left, found.top, found.step, (20.0, -10.0, 1500.0), 0.7)
 
 
 def height(tile) -> np.ndarray:
@@ -69,10 +69,10 @@ def height(tile) -> np.ndarray:
     return (4 * waves).astype(np.float32)
 
 
-def found(tile, solver, lights, flat, surface, folder, bias=None) -> dict[str, np.ndarray]:
+def found(tile, solver, lights, divisor, surface, folder, bias=None) -> dict[str, np.ndarray]:
     folder.mkdir()
     with darkroom(tile, folder) as room:
-        solving.solve(room, solver, lights, flat, surface, folder, lambda share: None, bias, 0.9)
+        solving.solve(room, solver, lights, divisor, surface, folder, lambda share: None, bias, 0.9)
         account = [(e.pixels, e.saturated, e.total) for e in room.exposures.values()]
     agreement = json.loads((folder / "agreement.json").read_text())
     images = {name: np.load(folder / f"{name}.npy") for name in ARRAYS}
@@ -81,10 +81,10 @@ def found(tile, solver, lights, flat, surface, folder, bias=None) -> dict[str, n
 
 
 def assert_both_agree(
-    tile, tmp_path, monkeypatch, *, solver=None, lights=None, flat=None, surface=None, bias=None
+    tile, tmp_path, monkeypatch, *, solver=None, lights=None, divisor=None, surface=None, bias=None
 ):
     """Both ways to solve, after a look at whether both were gone."""
-    given = (solver or LeastSquares(), lights or near(tile), flat or plate(tile), surface)
+    given = (solver or LeastSquares(), lights or near(tile), divisor or flat_field(tile), surface)
     strips = fused_solving.FusedSolver.strips
     calls = []
     monkeypatch.setattr(
@@ -131,7 +131,7 @@ def test_with_solvers_that_discard_by_residuals_nearly_all_pixels_are_alike(
 ):
     # A residual that rounding puts on the other side of a limit changes the weights of its pixel.
     monkeypatch.delenv(kernel_switch.SWITCH, raising=False)
-    given = (tile, solver, near(tile), plate(tile), height(tile))
+    given = (tile, solver, near(tile), flat_field(tile), height(tile))
     fused = found(*given, tmp_path / "fused")
     monkeypatch.setenv(kernel_switch.SWITCH, "off")
     plain = found(*given, tmp_path / "plain")
@@ -142,7 +142,7 @@ def test_with_solvers_that_discard_by_residuals_nearly_all_pixels_are_alike(
 
 @pytest.mark.parametrize("solver", [Robust(), Foreign()])
 def test_little_memory_makes_strips_of_few_rows_and_the_same_bits(tile, tmp_path, monkeypatch, solver):
-    given = (tile, solver, near(tile), plate(tile), height(tile))
+    given = (tile, solver, near(tile), flat_field(tile), height(tile))
     whole = found(*given, tmp_path / "whole")
     monkeypatch.setenv(memory.VARIABLE, "12M")
     strips = found(*given, tmp_path / "strips")
@@ -178,7 +178,7 @@ def test_on_photographs_of_other_kinds_both_agree(tile, tmp_path, monkeypatch, c
     other = rewritten(tile, tmp_path, change)
     channels = 1 if tifffile.imread(other.dark).ndim == 2 else 3
     lights = LightField(tile.lamps, positions=STAND.lamp_positions())
-    assert_both_agree(other, tmp_path, monkeypatch, lights=lights, flat=plate(tile, channels))
+    assert_both_agree(other, tmp_path, monkeypatch, lights=lights, divisor=flat_field(tile, channels))
 
 
 @pytest.mark.parametrize(
@@ -199,8 +199,8 @@ def test_under_distant_lamps_both_agree(tile, tmp_path, monkeypatch, solver):
     assert_both_agree(tile, tmp_path, monkeypatch, solver=solver, lights=lights, surface=height(tile))
 
 
-def test_with_a_plate_of_one_channel_for_all_colours_both_agree(tile, tmp_path, monkeypatch):
-    assert_both_agree(tile, tmp_path, monkeypatch, flat=plate(tile, 1), surface=height(tile))
+def test_with_a_flat_field_of_one_channel_for_all_colours_both_agree(tile, tmp_path, monkeypatch):
+    assert_both_agree(tile, tmp_path, monkeypatch, divisor=flat_field(tile, 1), surface=height(tile))
 
 
 def test_both_remove_a_bias_alike(tile, tmp_path, monkeypatch):
@@ -212,7 +212,7 @@ def test_both_remove_a_bias_alike(tile, tmp_path, monkeypatch):
 def test_a_black_photograph_is_refused(tile, tmp_path):
     black = rewritten(tile, tmp_path, np.zeros_like)
     with pytest.raises(TileError, match="all black"):
-        found(black, Robust(), near(tile), plate(tile), None, tmp_path / "out")
+        found(black, Robust(), near(tile), flat_field(tile), None, tmp_path / "out")
 
 
 def test_a_solver_derived_from_a_bundled_one_does_its_own_work():

@@ -30,7 +30,7 @@ SOLVERS = [
 
 
 def directions(count: int) -> np.ndarray:
-    """Light vectors (count, 1, 1, 3) float32 of two rings, relative to a plate."""
+    """Light vectors (count, 1, 1, 3) float32 of two rings, relative to a flat field."""
     turn = 2 * np.pi * np.arange(count) / count
     height = np.radians(np.where(np.arange(count) % 2, 50, 25))
     rays = np.stack([np.cos(turn), np.sin(turn), np.tan(height)], axis=-1) / np.tan(height)[:, None]

@@ -18,7 +18,7 @@ STAGES = sorted(stages.__all__)
 
 USED_BY = {
     "light_model": ["lights"],
-    "detrend.images": ["plate"],
+    "detrend.images": ["flat_field"],
     "normals": ["normals", "bias"],
     "detrend.normals": ["bias"],
     "integrator": ["height"],
@@ -138,7 +138,7 @@ def test_a_changed_kernel_of_the_solver_costs_what_follows_from_it(keys):
         "overview", "bias", "normals", "height", "trend", "level", "maps", "mesh", "report"
     }  # fmt: skip
     for recipe in ("default", "paper"):
-        for stage in ("lights", "plate"):
+        for stage in ("lights", "flat_field"):
             assert before[f"{recipe} {stage}"] == after[f"{recipe} {stage}"]
 
 

@@ -117,7 +117,7 @@ class Photographed(ImageDetrend):
     name: ClassVar[str] = "reference"
     needs: ClassVar[tuple[str, ...]] = ("flats",)
 
-    def plate(self, flats, lights, x, y):
+    def flat_field(self, flats, lights, x, y):
         return flats.copy()
 
 
@@ -439,47 +439,47 @@ class OverwrittenReference(Residual):
         return bias
 
 
-class InvertedPlate(Photographed):
-    def plate(self, flats, lights, x, y):
+class InvertedFlatField(Photographed):
+    def flat_field(self, flats, lights, x, y):
         return 1 / flats
 
 
-class PlateUpsideDown(Photographed):
-    def plate(self, flats, lights, x, y):
+class FlatFieldUpsideDown(Photographed):
+    def flat_field(self, flats, lights, x, y):
         return flats[:, ::-1].copy()
 
 
 class EachLampNormalised(Photographed):
     """The lamps' powers relative to each other are lost."""
 
-    def plate(self, flats, lights, x, y):
+    def flat_field(self, flats, lights, x, y):
         return flats / np.nanmax(flats, axis=(1, 2, 3), keepdims=True)
 
 
 class ZeroWhereSaturated(Photographed):
-    def plate(self, flats, lights, x, y):
+    def flat_field(self, flats, lights, x, y):
         return np.nan_to_num(flats)
 
 
 class SpreadingSaturation(Photographed):
-    def plate(self, flats, lights, x, y):
+    def flat_field(self, flats, lights, x, y):
         return flats + flats.sum(axis=(1, 2), keepdims=True) * np.float32(0)
 
 
-class DoublePlate(Photographed):
-    def plate(self, flats, lights, x, y):
+class DoubleFlatField(Photographed):
+    def flat_field(self, flats, lights, x, y):
         return flats.astype(float)
 
 
 class OverwrittenFlats(Photographed):
-    def plate(self, flats, lights, x, y):
-        plate = flats.copy()
+    def flat_field(self, flats, lights, x, y):
+        found = flats.copy()
         flats /= 2
-        return plate
+        return found
 
 
-class SignlessPlate(Photographed):
-    def plate(self, flats, lights, x, y):
+class SignlessFlatField(Photographed):
+    def flat_field(self, flats, lights, x, y):
         return -flats
 
 
@@ -588,14 +588,14 @@ CAUGHT = {
     UnknownBias: "the_bias_is_float32_and_finite_where_the_reference_is_not_known",
     DoubleBias: "the_bias_is_float32_and_finite_where_the_reference_is_not_known",
     OverwrittenReference: "the_reference_is_not_overwritten_and_the_bias_repeats",
-    InvertedPlate: "the_plate_is_that_of_the_lamps_but_for_a_common_factor",
-    PlateUpsideDown: "the_plate_is_that_of_the_lamps_but_for_a_common_factor",
-    EachLampNormalised: "the_plate_is_that_of_the_lamps_but_for_a_common_factor",
+    InvertedFlatField: "the_flat_field_is_that_of_the_lamps_but_for_a_common_factor",
+    FlatFieldUpsideDown: "the_flat_field_is_that_of_the_lamps_but_for_a_common_factor",
+    EachLampNormalised: "the_flat_field_is_that_of_the_lamps_but_for_a_common_factor",
     ZeroWhereSaturated: "saturated_places_of_a_flat_do_not_spread",
     SpreadingSaturation: "saturated_places_of_a_flat_do_not_spread",
-    DoublePlate: "the_plate_is_positive_float32",
-    OverwrittenFlats: "flats_are_not_overwritten_and_the_plate_repeats",
-    SignlessPlate: "the_plate_is_positive_float32",
+    DoubleFlatField: "the_flat_field_is_positive_float32",
+    OverwrittenFlats: "flats_are_not_overwritten_and_the_flat_field_repeats",
+    SignlessFlatField: "the_flat_field_is_positive_float32",
     LampsOfTheStand: "lamps_are_found_in_the_order_of_the_frames",
     MeasuredAxes: "lamps_are_found_in_the_order_of_the_frames",
     LampsYDown: "lamps_are_found_in_the_order_of_the_frames",

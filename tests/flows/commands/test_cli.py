@@ -109,7 +109,7 @@ def test_a_variant_recomputes_only_what_differs(digitised, painting, tmp_path):
     )
     done = nlights("plan", painting, "--out", digitised, "--recipe", recipe)
     rows = {line.split()[0]: line for line in done.stdout.splitlines() if len(line.split()) > 2}
-    for stage in ("lights", "plate", "overview", "normals"):
+    for stage in ("lights", "flat_field", "overview", "normals"):
         assert "exists" in rows[stage]
     for stage in ("height", "maps", "mesh", "report"):
         assert "to be made" in rows[stage]

@@ -74,7 +74,7 @@ def test_what_variants_have_in_common_is_made_once(compared):
     }
     assert set(runs["flat-field + robust"].values()) == {"made"}
     second = runs["flat-field + least-squares"]
-    assert second["lights"] == second["plate"] == "shared"
+    assert second["lights"] == second["flat_field"] == "shared"
     assert second["normals"] == "made"
     keys = [made["key"] for run in record["runs"] for made in run["stages"] if made["origin"] == "made"]
     assert len(keys) == len(set(keys))

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 NLIGHTS = Path(sys.executable).parent / "nlights"
-STAGES = ("lights", "plate", "overview", "normals", "height", "maps", "mesh", "report")
+STAGES = ("lights", "flat_field", "overview", "normals", "height", "maps", "mesh", "report")
 
 
 def command(capture: Path, out: Path) -> list[str]:
@@ -91,7 +91,7 @@ def test_an_interrupt_by_hand_is_answered_with_a_sentence(painting, tmp_path):
     )
     assert process.stderr is not None
     for line in process.stderr:
-        if ": plate:" in line:
+        if ": flat_field:" in line:
             break
     process.send_signal(signal.SIGINT)
     said = process.stderr.read()

@@ -38,7 +38,7 @@ def numbers(outcome: Outcome) -> dict[str, float | None]:
 def test_the_right_stand_file_is_not_doubted(drawing, tmp_path):
     outcome = digitised(drawing, "vertical-dark", "default", tmp_path)
     assert warnings_of(outcome) == []
-    assert numbers(outcome)["Plate fit, rms"] < 60
+    assert numbers(outcome)["Flat fit, rms"] < 60
 
 
 def test_the_stand_as_it_was_before_the_fabric_is_doubted(drawing, tmp_path):
@@ -59,7 +59,7 @@ def test_without_flats_the_flat_is_not_in_this_recipe(drawing, tmp_path):
     )
     outcome = digitised(drawing, "vertical-dark", str(recipe), tmp_path)
     rows = json.loads((outcome.folder / "quality.json").read_text())
-    (row,) = [row for row in rows if row["name"] == "Plate fit, rms"]
+    (row,) = [row for row in rows if row["name"] == "Flat fit, rms"]
     assert row["value"] is None
     assert row["missing"] == "not in this recipe"
 

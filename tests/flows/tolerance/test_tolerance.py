@@ -204,7 +204,7 @@ def test_stands_with_other_lamps_cannot_be_compared():
 # The study.
 
 
-def test_both_recipes_differ_in_the_plate_only():
+def test_both_recipes_differ_in_the_flat_field_only():
     recipes = compared_recipes(load_recipe("default"))
     records = {name: recipe.record() for name, recipe in recipes.items()}
     assert records[WITH]["detrend"]["images"]["use"] == "flat-field"

@@ -1,4 +1,4 @@
-"""The stage that says what a flat white plate reads."""
+"""The stage that says what a flat reads under each lamp."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ import numpy as np
 from nlights_core.algorithms import ImageDetrend
 from nlights_core.capture import Tile
 from nlights_core.contracts import verbs
-from nlights_core.lamps.emission import check_flat, write_flat_check
+from nlights_core.lamps.emission import check_stand, write_stand_check
 from nlights_core.machine.band_threads import in_order
 from nlights_core.machine.progress import Progress
 from nlights_core.photographs.block_means import block_means
 from nlights_core.photographs.development import darkroom
+from nlights_core.photographs.flat_fields import block_size, continued, vignetting, write_flat_field
 from nlights_core.photographs.headers import grid_of, survey
 from nlights_core.photographs.noise import write_noise
-from nlights_core.photographs.plates import block_size, continued, vignetting, write_plate
 from nlights_core.stages.inputs import FLATS, facts_of_photographs, read_lights, size
 from nlights_core.store import ArtefactRef, Store, Work, describe
 
@@ -28,15 +28,15 @@ ROWS = 8
 """Of each block of a flat, that are looked at: smoothed, that leaves 0.01 % of noise."""
 
 
-def plate(store: Store, tile: Tile, detrend: ImageDetrend, lights: ArtefactRef) -> Work:
-    """What a flat white plate reads: ``plate.npy`` and where its samples are, ``plate.json``."""
+def flat_field(store: Store, tile: Tile, detrend: ImageDetrend, lights: ArtefactRef) -> Work:
+    """What a flat reads: ``flat_field.npy`` and where its samples are, ``flat_field.json``."""
     if "flats" in detrend.needs:
         facts = facts_of_photographs(store, tile, "flats")
     else:
         facts = facts_of_photographs(store, tile, "frames") | {"frames": None}
         facts["size"] = size(tile)
     ref, record = describe(
-        "plate",
+        "flat_field",
         tile.artwork,
         FLATS,
         rests_on=RESTS_ON,
@@ -60,16 +60,16 @@ def plate(store: Store, tile: Tile, detrend: ImageDetrend, lights: ArtefactRef) 
                 write_noise(folder, room.noise)
 
         def measured() -> None:
-            reading = verbs.plate(detrend, flats, field, x, y, info.channels)
+            reading = verbs.flat_field(detrend, flats, field, x, y, info.channels)
             found = continued(reading, x, y, block * grid.pixel_size)
             if flats is not None and grid.camera is not None and field.near:
                 lens = vignetting(reading, field, x, y, grid.camera)
                 found = replace(found, camera=grid.camera, vignetting=lens)
-            write_plate(folder, found)
+            write_flat_field(folder, found)
 
         def checked() -> None:
             if flats is not None and tile.stand is not None and field.near:
-                write_flat_check(folder, check_flat(flats, tile.stand, field.lamps, x, y))
+                write_stand_check(folder, check_stand(flats, tile.stand, field.lamps, x, y))
 
         for _ in in_order(lambda work: work(), (measured, checked)):
             pass

@@ -1,4 +1,4 @@
-"""Plates: smooth, continued past the frame, and read along each lamp's ray."""
+"""Flat fields: smooth, continued past the frame, and read along each lamp's ray."""
 
 from dataclasses import replace
 
@@ -9,13 +9,13 @@ from nlights_core.configurations import load_stand
 from nlights_core.errors import TileError
 from nlights_core.fields import LightField
 from nlights_core.frames import PixelGrid
-from nlights_core.photographs.plates import (
+from nlights_core.photographs.flat_fields import (
     block_size,
     continued,
     natural_vignetting,
-    read_plate,
+    read_flat_field,
     vignetting,
-    write_plate,
+    write_flat_field,
 )
 
 
@@ -30,7 +30,7 @@ def horizontal() -> LightField:
 GRID = PixelGrid(750, 1000, 0.5, (0.0, 0.0, 1542.0))
 
 
-def lensed_plate():
+def lensed_flat_field():
     """What the horizontal stand's lensed lamps give on the plane, known only in the frame."""
     block = block_size(GRID)
     x, y = GRID.block_centres(block)
@@ -39,25 +39,25 @@ def lensed_plate():
     return lights, continued(lights.vectors(points)[..., 2:], x, y, block * GRID.pixel_size)
 
 
-def test_inside_the_frame_the_plate_is_what_was_given():
-    lights, plate = lensed_plate()
+def test_inside_the_frame_the_flat_field_is_what_was_given():
+    lights, flat_field = lensed_flat_field()
     points = GRID.points(0, GRID.rows)[:, 8:-8:31, 8:-8:37]
     truth = lights.vectors(points)[..., 2]
     for i in range(8):
-        found = plate.at(i, points[0], points[1])[..., 0]
+        found = flat_field.at(i, points[0], points[1])[..., 0]
         np.testing.assert_allclose(found, truth[i], rtol=2e-3)
 
 
 def test_past_the_frame_it_is_right_to_a_few_percent_and_farther_out_of_the_right_size():
-    lights, plate = lensed_plate()
+    lights, flat_field = lensed_flat_field()
     x, y = (a.astype(np.float32) for a in np.meshgrid([-285.0, 285.0], np.linspace(-180, 180, 9)))
     truth = lights.vectors(np.stack([x, y, 0 * x]))[..., 2]
     for i in range(8):
-        np.testing.assert_allclose(plate.at(i, x, y)[..., 0], truth[i], rtol=0.3)
+        np.testing.assert_allclose(flat_field.at(i, x, y)[..., 0], truth[i], rtol=0.3)
     near = x * 0 + np.sign(x) * 255
     truth = lights.vectors(np.stack([near, y, 0 * x]))[..., 2]
     for i in range(8):
-        np.testing.assert_allclose(plate.at(i, near, y)[..., 0], truth[i], rtol=0.05)
+        np.testing.assert_allclose(flat_field.at(i, near, y)[..., 0], truth[i], rtol=0.05)
 
 
 def test_read_along_the_lamps_ray_the_emission_cancels_at_any_height():
@@ -122,39 +122,39 @@ def test_vignetting_of_a_single_lamp_or_of_lamps_that_disagree_is_hardly_believe
 def test_the_lamps_light_is_read_at_its_foot_but_the_lens_at_the_pixel():
     lights, bare, reading, x, y = photographed(1.0)
     lens = vignetting(reading, bare, x, y, CAMERA)
-    plate = replace(continued(reading, x, y, 5 * GRID.pixel_size), camera=CAMERA, vignetting=lens)
+    flat_field = replace(continued(reading, x, y, 5 * GRID.pixel_size), camera=CAMERA, vignetting=lens)
     pixels = GRID.points(0, GRID.rows)[:, 150:-150:50, 150:-150:50]
     points = GRID.points(0, GRID.rows, np.full(GRID.shape, 8.0))[:, 150:-150:50, 150:-150:50]
     feet = lights.plane_points(points)
     for i, (foot_x, foot_y) in enumerate(feet):
         light = lights.only(i).vectors(np.stack([foot_x, foot_y, 0 * foot_x]))[0, ..., 2]
         truth = light * np.exp(natural_vignetting(CAMERA, pixels[0], pixels[1]))
-        np.testing.assert_allclose(plate.at(i, foot_x, foot_y, pixels[:2])[..., 0], truth, rtol=1e-3)
+        np.testing.assert_allclose(flat_field.at(i, foot_x, foot_y, pixels[:2])[..., 0], truth, rtol=1e-3)
 
 
-def test_holes_are_bridged_and_a_plate_mostly_unknown_is_refused():
+def test_holes_are_bridged_and_a_flat_field_mostly_unknown_is_refused():
     x, y = GRID.block_centres(4)
     reading = np.ones((1, len(y), len(x), 1), np.float32)
     reading[0, 10:20, 10:20] = np.nan
-    plate = continued(reading, x, y, 2.0)
-    np.testing.assert_allclose(plate.logarithm, 0, atol=1e-6)
+    flat_field = continued(reading, x, y, 2.0)
+    np.testing.assert_allclose(flat_field.logarithm, 0, atol=1e-6)
     reading[0, :, : 2 * len(x) // 3] = np.nan
     with pytest.raises(TileError, match="lamp 1"):
         continued(reading, x, y, 2.0)
 
 
 @pytest.mark.parametrize("camera", [None, (0.5, -0.1, 1542.25)])
-def test_a_plate_is_read_back_as_it_was_written(tmp_path, camera):
-    plate = replace(lensed_plate()[1], camera=camera, vignetting=0.9)
-    write_plate(tmp_path, plate)
-    again = read_plate(tmp_path)
-    np.testing.assert_array_equal(again.logarithm, plate.logarithm)
-    assert (again.left, again.top, again.step) == (plate.left, plate.top, plate.step)
-    assert (again.camera, again.vignetting) == (plate.camera, plate.vignetting)
+def test_a_flat_field_is_read_back_as_it_was_written(tmp_path, camera):
+    flat_field = replace(lensed_flat_field()[1], camera=camera, vignetting=0.9)
+    write_flat_field(tmp_path, flat_field)
+    again = read_flat_field(tmp_path)
+    np.testing.assert_array_equal(again.logarithm, flat_field.logarithm)
+    assert (again.left, again.top, again.step) == (flat_field.left, flat_field.top, flat_field.step)
+    assert (again.camera, again.vignetting) == (flat_field.camera, flat_field.vignetting)
 
 
 def test_in_the_frame_only_is_shown_to_people():
-    _, plate = lensed_plate()
-    inside = plate.inside(GRID)
+    _, flat_field = lensed_flat_field()
+    inside = flat_field.inside(GRID)
     block = block_size(GRID)
     assert inside.shape[1:3] == (GRID.rows // block, GRID.columns // block)

@@ -1,4 +1,4 @@
-"""The Prefect flow `plate-check`: the white plate measured as if it were an artwork, and how flat it is."""
+"""The Prefect flow `flat-check`: the flat measured as if it were an artwork, and how flat it is."""
 
 # No `from __future__ import annotations` here: Prefect resolves the parameters' types itself.
 import json
@@ -29,8 +29,8 @@ BLOCK = 16
 """Edge of the blocks over which a photograph's level is averaged before its median is taken, px."""
 
 
-@flow(name="plate-check", persist_result=False, validate_parameters=True)
-def plate_check(
+@flow(name="flat-check", persist_result=False, validate_parameters=True)
+def flat_check(
     artwork: str,
     out: str = "products",
     recipe: str = "default",
@@ -39,14 +39,14 @@ def plate_check(
     normals_rms_deg: float = 0.5,
     level_percent: float = 5.0,
 ) -> Any:
-    """Digitise a capture of the white plate and state how flat it comes out.
+    """Digitise a capture of the flat and state how flat it comes out.
 
     Parameters
     ----------
     artwork : str
-        Path of the plate's ``artwork.yaml``; its flats are those in use.
+        Path of the ``artwork.yaml`` whose artwork is the flat; its flats are those in use.
     out : str
-        Folder of the products; the record goes to ``<out>/plate-checks``.
+        Folder of the products; the record goes to ``<out>/flat-checks``.
     recipe : str
         Name of a shipped recipe, or a path.
     store : str, optional
@@ -73,8 +73,8 @@ def plate_check(
         artwork=artwork, recipe=recipe, out=out, store=store, tiles=[tile.name], return_state=True
     )
     if not state.is_completed():
-        return Failed(message=f"the plate could not be measured: {state.message}")
-    checks = Path(out) / "plate-checks"
+        return Failed(message=f"the flat could not be measured: {state.message}")
+    checks = Path(out) / "flat-checks"
     record = check(tile, Path(out) / tile.artwork / tile.name, last_check(checks, tile), limits)
     name = f"{tile.artwork}-{record['time'].replace(':', '')}.json"
     write_whole(checks / name, json.dumps(record, indent=1) + "\n")
@@ -85,12 +85,12 @@ def plate_check(
 def check(
     tile: Tile, products: Path, last: Mapping[str, Any] | None, limits: Mapping[str, float]
 ) -> dict[str, Any]:
-    """Compare a measured plate with the limits.
+    """Compare a measured flat with the limits.
 
     Parameters
     ----------
     tile : Tile
-        The plate's capture.
+        The flat's capture.
     products : Path
         Its products.
     last : mapping or None
@@ -103,7 +103,7 @@ def check(
     dict
         The figures, ``faults`` (sentences) and ``sentence``.
     """
-    flat = flatness(read_tiff(products / "height.tif"), read_tiff(products / "normals.tif"))
+    shape = flatness(read_tiff(products / "height.tif"), read_tiff(products / "normals.tif"))
     now = levels(tile.frames, tile)
     flats = levels(tile.flats, tile) if tile.flats else {}
     since = {
@@ -114,31 +114,31 @@ def check(
             if lamp in now
         },
     }
-    faults = _faults(flat, since, limits)
+    faults = _faults(shape, since, limits)
     return {
         "time": datetime.now().astimezone().isoformat(timespec="seconds"),
         "artwork": tile.artwork,
         "tile": tile.name,
-        **flat,
+        **shape,
         "levels": now,
         "changes_percent": since,
         "limits": dict(limits),
         "faults": faults,
-        "sentence": _sentence(tile, flat, faults),
+        "sentence": _sentence(tile, shape, faults),
     }
 
 
 def _faults(
-    flat: Mapping[str, float], since: Mapping[str, Mapping[str, float]], limits: Mapping[str, float]
+    shape: Mapping[str, float], since: Mapping[str, Mapping[str, float]], limits: Mapping[str, float]
 ) -> list[str]:
     """What is beyond its limit; not a number is not a pass."""
     faults = [
-        f"{words} {flat[name]:.3g} {unit}, at most {limits[name]:g} {unit} are allowed"
+        f"{words} {shape[name]:.3g} {unit}, at most {limits[name]:g} {unit} are allowed"
         for name, words, unit in (
             ("height_range_mm", "the height ranges over", "mm"),
             ("normals_rms_deg", "the normals are scattered by", "degrees"),
         )
-        if not flat[name] <= limits[name]
+        if not shape[name] <= limits[name]
     ]
     return faults + [
         f"{lamp} changed by {change:+.1f} % since {when}, at most {limits['level_percent']:g} % are allowed"
@@ -148,16 +148,16 @@ def _faults(
     ]
 
 
-def _sentence(tile: Tile, flat: Mapping[str, float], faults: list[str]) -> str:
+def _sentence(tile: Tile, shape: Mapping[str, float], faults: list[str]) -> str:
     """The outcome for people: what was measured, and what to do where that is needed."""
     measured = (
-        f"height {flat['height_rms_mm']:.3g} mm rms over a range of {flat['height_range_mm']:.3g} mm, "
-        f"normals {flat['normals_rms_deg']:.3g} degrees rms"
+        f"height {shape['height_rms_mm']:.3g} mm rms over a range of {shape['height_range_mm']:.3g} mm, "
+        f"normals {shape['normals_rms_deg']:.3g} degrees rms"
     )
     if not faults:
-        return f"the plate of {tile.artwork} is flat as measured: {measured}"
+        return f"the flat {tile.artwork} came out flat: {measured}"
     return (
-        f"the plate of {tile.artwork} is not as it should be: {'; '.join(faults)} ({measured}); see that it "
+        f"the flat {tile.artwork} is not as it should be: {'; '.join(faults)} ({measured}); see that it "
         "lies flat and clean, take new flats, and measure the lamps again if that does not help"
     )
 
@@ -222,7 +222,7 @@ def _level(path: Path, tile: Tile) -> float:
 
 
 def last_check(folder: Path, tile: Tile) -> dict[str, Any] | None:
-    """The newest record of this plate in a folder; None when there is none.
+    """The newest record of this flat in a folder; None when there is none.
 
     Raises
     ------
@@ -236,7 +236,7 @@ def last_check(folder: Path, tile: Tile) -> dict[str, Any] | None:
             if (record["artwork"], record["tile"]) == (tile.artwork, tile.name):
                 records.append((datetime.fromisoformat(record["time"]), record))
         except (ValueError, KeyError, TypeError) as fault:
-            raise CaptureError(f"{path}: is no record of a plate check ({fault}); remove it") from None
+            raise CaptureError(f"{path}: is no record of a check of the flat ({fault}); remove it") from None
     return max(records, key=lambda pair: pair[0])[1] if records else None
 
 

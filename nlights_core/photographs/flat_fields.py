@@ -1,4 +1,4 @@
-"""Plates: what a flat white plate at z = 0 reads under each lamp, as a smooth function."""
+"""Flat fields: what a flat at z = 0 reads under each lamp, as a smooth function."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from nlights_core.frames import Array, PixelGrid
 from nlights_core.machine.band_threads import in_order
 
 COLUMNS = 256
-"""About how many blocks across a plate is known on: it is smooth."""
+"""About how many blocks across a flat field is known on: it is smooth."""
 
 MARGIN = 0.15
-"""How far past the frame a plate is continued, as a share of its longer side: a lamp at 15
+"""How far past the frame a flat field is continued, as a share of its longer side: a lamp at 15
 degrees reaches 40 mm past the frame for a surface 8 mm high."""
 
 UNKNOWN_LENS = 0.5
-"""Vignetting before the plate is looked at, and its standard deviation: a lens darkens the corners by
+"""Vignetting before the flats are looked at, and its standard deviation: a lens darkens the corners by
 the natural law (1), unless the raw developer has undone it (0)."""
 
 
 @dataclass(frozen=True)
-class Plate:
-    """A plate on a coarse grid that reaches past the frame.
+class FlatField:
+    """A flat field on a coarse grid that reaches past the frame.
 
     Parameters
     ----------
@@ -59,10 +59,10 @@ class Plate:
 
     @cached_property
     def shares(self) -> Array:
-        """Share of each colour channel in the plate's light, (C,) float32.
+        """Share of each colour channel in the flat's light, (C,) float32.
 
-        Images divided by the plate are best mixed to grey by these shares: with shot noise that
-        is what counting the photons of all channels together would give, whatever the colour.
+        Images divided by the flat field are best mixed to grey by these shares: with shot noise that is
+        what counting the photons of all channels together would give, whatever the colour.
         """
         light = np.exp(self.logarithm).mean(axis=(0, 1, 2))
         return np.asarray(light / light.sum(), np.float32)
@@ -76,7 +76,7 @@ class Plate:
         return np.asarray(np.exp(self.logarithm[:, rows][:, :, columns]))
 
     def at(self, lamp: int, x: Array, y: Array, pixels: Array | None = None) -> Array:
-        """Read the plate at any points, by linear interpolation.
+        """Read the flat field at any points, by linear interpolation.
 
         A lamp's light belongs to the point of the plane that it meets, but the lens's vignetting
         belongs to the pixel through which that light is seen.
@@ -109,7 +109,7 @@ class Plate:
 
 
 def block_size(grid: PixelGrid) -> int:
-    """Edge of the blocks that a plate of this grid is averaged over, px."""
+    """Edge of the blocks that a flat field of this grid is averaged over, px."""
     return max(1, min(round(max(grid.rows, grid.columns) / COLUMNS), min(grid.shape) // 4))
 
 
@@ -134,7 +134,7 @@ def natural_vignetting(camera: tuple[float, float, float], x: Array, y: Array) -
 def vignetting(
     reading: Array, lights: LightField, x: Array, y: Array, camera: tuple[float, float, float]
 ) -> float:
-    """How much the lens darkens a photographed plate, as a multiple of the natural law's logarithm.
+    """How much the lens darkens a photographed flat, as a multiple of the natural law's logarithm.
 
     What all lamps' readings have in common is not yet the lens's: eight lenses aimed at the
     centre darken the corners too.  But a lamp's beam is round across its axis and so longer on the
@@ -143,7 +143,7 @@ def vignetting(
     Parameters
     ----------
     reading : (L, h, w, C) array
-        What the plate reads; NaN where not known.
+        What the flat reads; NaN where not known.
     lights : LightField
         Near lamps.
     x, y : (w,) and (h,) arrays
@@ -187,8 +187,8 @@ def vignetting(
     return float(trust * found + (1 - trust) * UNKNOWN_LENS)
 
 
-def continued(reading: Array, x: Array, y: Array, step: float) -> Plate:
-    """Make a plate from readings in the frame, continued past it.
+def continued(reading: Array, x: Array, y: Array, step: float) -> FlatField:
+    """Make a flat field from readings in the frame, continued past it.
 
     Outside, the logarithm follows a cubic polynomial fitted to the whole frame plus what the
     polynomial misses at the nearest sample of the frame, so that it is continuous.
@@ -205,7 +205,7 @@ def continued(reading: Array, x: Array, y: Array, step: float) -> Plate:
     Raises
     ------
     TileError
-        When a lamp's plate is known on less than half of the frame.
+        When a lamp's reading is known on less than half of the frame.
     """
     from scipy.ndimage import distance_transform_edt
 
@@ -224,7 +224,7 @@ def continued(reading: Array, x: Array, y: Array, step: float) -> Plate:
             if known.mean() < 0.5:
                 raise TileError(
                     f"flats: the reading of lamp {i + 1} is known on {known.mean():.0%} of the frame only "
-                    "(the rest is saturated or black); photograph the flat reference again"
+                    "(the rest is saturated or black); photograph the flat again"
                 )
             values = np.log(np.where(known, reading[i, ..., c], 1.0).astype(np.float64))
             some = inner if known.all() else inner[:, known.ravel()]
@@ -239,23 +239,23 @@ def continued(reading: Array, x: Array, y: Array, step: float) -> Plate:
             )
 
     list(in_order(of_lamp, range(count)))
-    return Plate(out, float(wide_x[0]), float(wide_y[0]), step)
+    return FlatField(out, float(wide_x[0]), float(wide_y[0]), step)
 
 
-def write_plate(folder: Path, plate: Plate) -> None:
-    """Write a plate as ``plate.npy`` and, where its samples are and through what lens, ``plate.json``."""
-    write_array(folder / "plate.npy", plate.logarithm)
+def write_flat_field(folder: Path, flat_field: FlatField) -> None:
+    """Write ``flat_field.npy`` and, where its samples are and through what lens, ``flat_field.json``."""
+    write_array(folder / "flat_field.npy", flat_field.logarithm)
     names = ("left", "top", "step", "camera", "vignetting")
-    place = {name: getattr(plate, name) for name in names}
-    (folder / "plate.json").write_text(json.dumps(place) + "\n", encoding="utf-8")
+    place = {name: getattr(flat_field, name) for name in names}
+    (folder / "flat_field.json").write_text(json.dumps(place) + "\n", encoding="utf-8")
 
 
-def read_plate(folder: Path) -> Plate:
-    """Read what `write_plate` wrote."""
-    place = json.loads((folder / "plate.json").read_text(encoding="utf-8"))
+def read_flat_field(folder: Path) -> FlatField:
+    """Read what `write_flat_field` wrote."""
+    place = json.loads((folder / "flat_field.json").read_text(encoding="utf-8"))
     if place["camera"] is not None:
         place["camera"] = tuple(place["camera"])
-    return Plate(np.load(folder / "plate.npy"), **place)
+    return FlatField(np.load(folder / "flat_field.npy"), **place)
 
 
 def _cubic(x: Array, y: Array) -> Array:

@@ -1,4 +1,4 @@
-"""The weekly look at the white plate: figures against analytic truth, lamps that change, limits."""
+"""The weekly look at the flat: figures against analytic truth, lamps that change, limits."""
 
 import json
 import shutil
@@ -10,7 +10,7 @@ import yaml
 
 from nlights_core.errors import CaptureError
 from nlights_core.manifest import load_capture
-from nlights_flows.nights.plate_check import check, flatness, last_check, levels
+from nlights_flows.nights.flat_check import check, flatness, last_check, levels
 
 LIMITS = {"height_range_mm": 1.0, "normals_rms_deg": 0.5, "level_percent": 5.0}
 
@@ -42,8 +42,8 @@ def test_what_is_not_known_does_not_count_and_nothing_known_is_not_flat():
 
 
 @pytest.fixture
-def plate(capture):
-    """A capture whose artwork is the plate: its flats photographed again, the third lamp 10 % weaker."""
+def tile(capture):
+    """A capture whose artwork is the flat: its flats photographed again, the third lamp 10 % weaker."""
     manifest = yaml.safe_load((capture / "artwork.yaml").read_text())
     for n in range(1, 9):
         shutil.copy(capture / "flat" / f"light_{n}.tif", capture / f"light_{n}.tif")
@@ -64,19 +64,19 @@ def products(folder, height):
     return folder
 
 
-def test_a_lamp_that_became_weaker_is_named_and_only_that_one(plate, tmp_path):
-    record = check(plate, products(tmp_path / "p", np.zeros((30, 40))), None, LIMITS)
-    lamp = list(plate.frames)[2]
+def test_a_lamp_that_became_weaker_is_named_and_only_that_one(tile, tmp_path):
+    record = check(tile, products(tmp_path / "p", np.zeros((30, 40))), None, LIMITS)
+    lamp = list(tile.frames)[2]
     assert record["changes_percent"]["the flats"][lamp] == pytest.approx(-10, abs=0.3)
     assert [fault.split()[0] for fault in record["faults"]] == [lamp]
     assert lamp in record["sentence"]
     # Against a check with the lamps as they are now, nothing changed; the flats stay wrong.
-    again = check(plate, tmp_path / "p", record, LIMITS)
+    again = check(tile, tmp_path / "p", record, LIMITS)
     assert max(map(abs, again["changes_percent"]["the last check"].values())) < 1e-9
 
 
-def test_a_bent_plate_fails_and_a_flat_one_says_so_with_its_figures(plate, tmp_path):
-    flats_only = plate.model_copy(update={"frames": plate.flats})
+def test_a_bent_flat_fails_and_a_plane_one_says_so_with_its_figures(tile, tmp_path):
+    flats_only = tile.model_copy(update={"frames": tile.flats})
     bent = np.tile(np.linspace(-1, 1, 400) ** 2 * 1.3, (40, 1))
     record = check(flats_only, products(tmp_path / "bent", bent), None, LIMITS)
     assert len(record["faults"]) == 1
@@ -84,26 +84,26 @@ def test_a_bent_plate_fails_and_a_flat_one_says_so_with_its_figures(plate, tmp_p
     assert "at most 1 mm" in record["sentence"]
     record = check(flats_only, products(tmp_path / "flat", 0 * bent), None, LIMITS)
     assert record["faults"] == []
-    assert "is flat as measured: height 0 mm rms" in record["sentence"]
+    assert "came out flat: height 0 mm rms" in record["sentence"]
 
 
-def test_the_last_check_is_the_newest_of_this_plate(plate, tmp_path):
-    assert last_check(tmp_path / "none", plate) is None
+def test_the_last_check_is_the_newest_of_this_flat(tile, tmp_path):
+    assert last_check(tmp_path / "none", tile) is None
     for name, artwork, time in (
-        ("a", plate.artwork, "2026-03-02T08:00:00+01:00"),
-        ("b", plate.artwork, "2026-03-02T07:30:00+00:00"),  # half an hour later, by the clock of the world
+        ("a", tile.artwork, "2026-03-02T08:00:00+01:00"),
+        ("b", tile.artwork, "2026-03-02T07:30:00+00:00"),  # half an hour later, by the clock of the world
         ("c", "another", "2027-01-01T00:00:00+00:00"),
     ):
-        record = {"artwork": artwork, "tile": plate.name, "time": time, "levels": {name: 1.0}}
+        record = {"artwork": artwork, "tile": tile.name, "time": time, "levels": {name: 1.0}}
         (tmp_path / f"{name}.json").write_text(json.dumps(record))
-    assert last_check(tmp_path, plate)["levels"] == {"b": 1.0}
+    assert last_check(tmp_path, tile)["levels"] == {"b": 1.0}
     (tmp_path / "d.json").write_text("{")
-    with pytest.raises(CaptureError, match=r"d\.json: is no record of a plate check"):
-        last_check(tmp_path, plate)
+    with pytest.raises(CaptureError, match=r"d\.json: is no record of a check of the flat"):
+        last_check(tmp_path, tile)
 
 
-def test_levels_are_shares_of_saturation_without_the_dark(plate):
-    flat = next(iter(plate.flats.values()))
-    dark = np.median(tifffile.imread(plate.dark)) / 65535
+def test_levels_are_shares_of_saturation_without_the_dark(tile):
+    flat = next(iter(tile.flats.values()))
+    dark = np.median(tifffile.imread(tile.dark)) / 65535
     expected = np.median(tifffile.imread(flat)) / 65535 - dark
-    assert next(iter(levels(plate.flats, plate).values())) == pytest.approx(expected, rel=0.05)
+    assert next(iter(levels(tile.flats, tile).values())) == pytest.approx(expected, rel=0.05)
