@@ -38,6 +38,9 @@ WIDTH = 160
 OTHER_SOLVERS = ("rank-trim", "median-of-triplets")
 """Bundled solvers that no shipped recipe uses."""
 
+ALL = "all"
+"""Mark of loops that were prepared beforehand: those of all bundled solvers."""
+
 
 @contextmanager
 def compiled_beside(recipe: Recipe) -> Iterator[None]:
@@ -81,6 +84,8 @@ def prepare(progress: Callable[[float, int], None]) -> tuple[int, Path | None]:
     NlightsError
         When a process that compiles fails, with what it said.
     """
+    if is_complete(ALL):
+        return 0, install()
     jobs = _jobs()
     compiled, ended, lock = [0] * len(jobs), [0], Lock()
 
@@ -107,6 +112,7 @@ def prepare(progress: Callable[[float, int], None]) -> tuple[int, Path | None]:
             pass
     for job in jobs:
         set_complete(job["recipe"]["normals"]["use"])
+    set_complete(ALL)
     return sum(compiled), install()
 
 
