@@ -29,7 +29,7 @@ PHOTONS = 40_000.0
 
 
 class Read(Protocol):
-    """How an algorithm sees photographs without ever opening a file."""
+    """Callable by which an algorithm sees photographs without ever opening a file."""
 
     def __call__(self, path: Path, *, reduce: int = 1) -> Array:
         """A whole photograph, streamed and reduced by block means.
@@ -50,7 +50,7 @@ class Read(Protocol):
 
 
 class Solution(NamedTuple):
-    """What a normal solver found in a band.
+    """Result of a normal solver for a band.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class Solution(NamedTuple):
 
 
 class Algorithm(BaseModel, ABC):
-    """Something swappable.  Subclass one of the kinds below, not this."""
+    """Base of what is swappable.  Subclass one of the kinds below, not this."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -87,7 +87,7 @@ class Algorithm(BaseModel, ABC):
 
 
 class LightModel(Algorithm):
-    """Where the lamps are and how strong they are."""
+    """Positions and strengths of the lamps."""
 
     slot: ClassVar[str] = "light_model"
 
@@ -126,7 +126,7 @@ class LightModel(Algorithm):
 
 
 class ImageDetrend(Algorithm):
-    """What a flat, a matt white board at z = 0, reads under each lamp: the flat field."""
+    """The flat field: readings of a flat, a matt white board at z = 0, under each lamp."""
 
     slot: ClassVar[str] = "detrend.images"
 
@@ -190,7 +190,7 @@ class NormalDetrend(Algorithm):
 
     @abstractmethod
     def bias(self, reference: NormalField) -> Array:
-        """What the stage subtracts from the artwork's normals (and then makes them unit again).
+        """Bias that the stage subtracts from the artwork's normals (and then makes them unit again).
 
         Parameters
         ----------
@@ -237,7 +237,7 @@ class HeightDetrend(Algorithm):
 
     @abstractmethod
     def trend(self, height: HeightMap) -> Array:
-        """What the stage subtracts from the height (and keeps).
+        """Trend that the stage subtracts from the height (and keeps).
 
         Parameters
         ----------

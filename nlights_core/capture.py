@@ -11,7 +11,7 @@ from nlights_core.stands import Positive, Record, Stand
 
 
 class Encoding(Record):
-    """How the numbers in the photographs stand for light."""
+    """Relation of the numbers in the photographs to light."""
 
     transfer: Literal["linear", "srgb"] = Field(
         default="linear", description="tone curve of the files: linear light, or sRGB to be undone"
@@ -29,7 +29,7 @@ class Encoding(Record):
 
 
 class Sensor(Record):
-    """What is known of the camera's noise; measured in the photographs where it is not stated."""
+    """Known noise of the camera; measured in the photographs where it is not stated."""
 
     electrons_at_saturation: Positive = Field(
         description="electrons that a pixel holds at saturation level, at the ISO setting used"

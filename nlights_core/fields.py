@@ -1,4 +1,4 @@
-"""What flows between the stages: light fields, normal fields, height maps.
+"""Fields that flow between the stages: light fields, normal fields, height maps.
 
 Lengths are millimetres in the plane frame (see `nlights_core.frames`), directions are unit
 vectors, images are fractions of the saturation level.
@@ -63,7 +63,7 @@ class LightField:
 
     @property
     def near(self) -> bool:
-        """Whether the lamps are at measured positions rather than infinitely far away."""
+        """Test whether the lamps are at measured positions rather than infinitely far away."""
         return self.positions is not None
 
     def only(self, lamp: int) -> LightField:
@@ -120,7 +120,7 @@ class LightField:
         return out
 
     def plane_points(self, points: Array) -> Array:
-        """Where each lamp's ray through given points meets the plane z = 0.
+        """Points in which each lamp's rays through given points meet the plane z = 0.
 
         ``P0 = S + (P - S) S_z / (S_z - z)``: what a lamp emits towards P it emits towards P0
         too, so that a flat field read at P0 needs no model of the lamp.

@@ -128,7 +128,7 @@ def _stand(manifest: Manifest, given: str | None, folder: Path, source: Source) 
 
 
 class _Reader:
-    """Resolves a manifest's paths, collecting every fault."""
+    """Resolver of a manifest's paths, collecting every fault."""
 
     def __init__(
         self, source: Source, manifest: Manifest, stand: Stand | None, folder: Path, root: Path

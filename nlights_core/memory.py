@@ -49,7 +49,7 @@ def parse_size(text: str) -> int:
 
 
 def budget() -> int:
-    """What a tile may take, bytes: what is `allowed`, or `VARIABLE`, or half of the machine's memory."""
+    """Memory that a tile may take, bytes: what is `allowed`, or `VARIABLE`, or half of the machine's memory."""
     if _allowed is not None:
         return _allowed
     said = os.environ.get(VARIABLE)
@@ -82,7 +82,7 @@ def machine_memory() -> int:
 
 
 def band_memory() -> int:
-    """What one core's band of rows may take, bytes, so that those of all cores take an eighth of the budget."""
+    """Memory for one core's band of rows, bytes, so that those of all cores take an eighth of the budget."""
     return budget() // (8 * (cores() + 1))
 
 

@@ -68,7 +68,7 @@ class Recipe(Record):
         return [algorithm for algorithm in slots if algorithm is not None]
 
     def lacking(self, tile: Tile) -> list[str]:
-        """What of a capture this recipe needs and the tile has not, as sentences."""
+        """List what of a capture this recipe needs and the tile has not, as sentences."""
         return [
             f"{MANIFEST_FIELD.get(need, need)}: is missing, and {algorithm.slot}: {algorithm.name} of the recipe "
             f"'{self.name}' needs it; add it to the manifest, or choose another {algorithm.slot}"
@@ -126,7 +126,7 @@ def load_recipe(what: str, registry: Registry | None = None) -> Recipe:
 
 
 class _Reader:
-    """Turns a mapping into a recipe while collecting every fault."""
+    """Reader that turns a mapping into a recipe and collects every fault."""
 
     def __init__(self, source: Source, registry: Registry) -> None:
         self.source, self.registry = source, registry

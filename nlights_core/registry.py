@@ -1,4 +1,4 @@
-"""Which algorithms are installed: the one hook, and the checks at the door.
+"""Registry of the installed algorithms: the one hook, and the checks at the door.
 
 A distribution offers algorithms by an entry point in the group ``nlights`` that names a module
 with the hook::
@@ -90,7 +90,7 @@ class Registry:
             self._offers[key] = offer
 
     def offers(self, slot: str | None = None) -> list[Offer]:
-        """What is on offer, for one slot or for all, sorted by slot and name."""
+        """Algorithms on offer, for one slot or for all, sorted by slot and name."""
         order = [kind.slot for kind in KINDS]
         found = [o for (s, _), o in self._offers.items() if slot in (None, s)]
         return sorted(found, key=lambda o: (order.index(o.algorithm.slot), o.algorithm.name))

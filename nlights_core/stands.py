@@ -21,7 +21,7 @@ class Record(BaseModel):
 
 
 class Axes(Record):
-    """Which measured axis, or its opposite, is which axis of the plane frame."""
+    """Assignment of the measured axes, or their opposites, to those of the plane frame."""
 
     x: Axis = "X"
     y: Axis = "Y"
@@ -45,7 +45,7 @@ class Axes(Record):
 
 
 class Lamp(Record):
-    """What is the same for all lamp groups of a stand."""
+    """Properties that all lamp groups of a stand share."""
 
     half_angle_deg: float = Field(gt=0, lt=90, description="angle off the axis at half power, degrees")
     emitter_size_mm: Positive = Field(description="largest extent of a group's light-emitting area, mm")

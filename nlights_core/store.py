@@ -66,7 +66,7 @@ class ArtefactRef:
 
 @dataclass(frozen=True)
 class Work:
-    """What a stage would do: the artefact's name, why it would exist, and how to make it.
+    """Plan of a stage: the artefact's name, why it would exist, and how to make it.
 
     Attributes
     ----------
@@ -100,7 +100,7 @@ class Store:
         return self.root / ref.folder
 
     def has(self, ref: ArtefactRef) -> bool:
-        """Whether an artefact is there, whole, and truly of this key."""
+        """Test whether an artefact is there, whole, and truly of this key."""
         try:
             record = json.loads((self.path(ref) / RECORD).read_text(encoding="utf-8"))
         except (OSError, ValueError):

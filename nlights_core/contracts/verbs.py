@@ -162,7 +162,7 @@ def lent(value: Lent) -> Lent:
 
 @contextmanager
 def named(algorithm: Algorithm) -> Iterator[None]:
-    """While an algorithm works, whatever it raises is told with its slot, name and distribution.
+    """Name slot, name and distribution of an algorithm in whatever it raises while it works.
 
     What says itself what to do passes: faults of nLights, of the system, and a lack of memory.
 
@@ -184,7 +184,7 @@ def named(algorithm: Algorithm) -> Iterator[None]:
 
 
 def _place(algorithm: Algorithm, fault: BaseException) -> str:
-    """Where in the algorithm's own code a fault arose, or else where it was raised."""
+    """Place in the algorithm's own code where a fault arose, or else where it was raised."""
     own: Any = inspect.getsourcefile(type(algorithm))
     frames = traceback.extract_tb(fault.__traceback__)
     frame = next((f for f in reversed(frames) if f.filename == own), frames[-1])

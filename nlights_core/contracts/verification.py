@@ -60,7 +60,7 @@ def checked_array(algorithm: Algorithm, what: str, value: Any, shape: tuple[int,
 
 
 def checked_solution(algorithm: Algorithm, value: Any, shape: tuple[int, int, int]) -> Solution:
-    """What a normal solver returned for a band of (L, h, w) samples.
+    """Check the solution that a normal solver returned for a band of (L, h, w) samples.
 
     Raises
     ------
@@ -91,7 +91,7 @@ def checked_solution(algorithm: Algorithm, value: Any, shape: tuple[int, int, in
 
 
 def checked_height(algorithm: Algorithm, value: Any, shape: tuple[int, int]) -> Array:
-    """What an integrator returned, (H, W) float32.
+    """Check the height that an integrator returned, (H, W) float32.
 
     Raises
     ------
@@ -167,7 +167,7 @@ def check_slopes(algorithm: Algorithm, height: Array, normals: NormalField) -> N
 
 
 def checked_lights(algorithm: Algorithm, value: Any, tile: Tile) -> LightField:
-    """What a light model returned for a tile.
+    """Check the light field that a light model returned for a tile.
 
     Raises
     ------
@@ -209,7 +209,7 @@ def checked_lights(algorithm: Algorithm, value: Any, tile: Tile) -> LightField:
 
 
 def checked_flat_field(algorithm: Algorithm, value: Any, shape: tuple[int, int, int], channels: int) -> Array:
-    """What an image detrend returned, (L, h, w, C) or (L, h, w, 1) float32.
+    """Check the flat field that an image detrend returned, (L, h, w, C) or (L, h, w, 1) float32.
 
     Raises
     ------
@@ -225,7 +225,7 @@ def checked_flat_field(algorithm: Algorithm, value: Any, shape: tuple[int, int, 
 
 
 def checked_bias(algorithm: Algorithm, value: Any, shape: tuple[int, int]) -> Array:
-    """What a detrend of normals returned, (H, W, 3) float32.
+    """Check the bias that a detrend of normals returned, (H, W, 3) float32.
 
     Raises
     ------
@@ -240,7 +240,7 @@ def checked_bias(algorithm: Algorithm, value: Any, shape: tuple[int, int]) -> Ar
 
 
 def checked_trend(algorithm: Algorithm, value: Any, height: Array) -> Array:
-    """What a detrend of heights returned, (H, W) float32.
+    """Check the trend that a detrend of heights returned, (H, W) float32.
 
     Raises
     ------

@@ -14,7 +14,7 @@ from nlights_core.frames import Array
 
 
 class BandWriter:
-    """Writes a .npy file band by band.
+    """Writer of a .npy file, band by band.
 
     Plain writes, not a memory map: on a full disk a write raises `OSError`, where a memory map
     kills the process.

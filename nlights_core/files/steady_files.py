@@ -13,7 +13,7 @@ STEP = 64 << 20
 
 
 class SteadyFile:
-    """Writes a file from its beginning to its end, and flushes it behind the writer's back.
+    """Writer of a file from its beginning to its end, and flushes it behind the writer's back.
 
     Nobody then waits for the disk at the end, when the artefact has to be safe before it is renamed, and
     what waits to be written never takes more than two steps of memory.

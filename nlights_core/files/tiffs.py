@@ -35,7 +35,7 @@ def _layout(
     icc: bytes | None,
     compression: Compression = "none",
 ) -> dict[str, Any]:
-    """What tifffile is told of an image: its type, its strips, its tags."""
+    """Arguments of tifffile for an image: its type, its strips, its tags."""
     row_bytes = math.prod(shape[1:]) * np.dtype(dtype).itemsize
     resolution = (10 / grid.pixel_size,) * 2 if grid is not None and grid.unit == "mm" else None
     return {
@@ -54,7 +54,7 @@ def _layout(
 
 
 def _is_big(shape: tuple[int, ...], dtype: Any) -> bool:
-    """Whether an image's bytes exceed what a plain TIFF can address."""
+    """Test whether an image's bytes exceed what a plain TIFF can address."""
     return bool(math.prod(shape) * np.dtype(dtype).itemsize > 2**32 - 2**20)
 
 

@@ -131,7 +131,7 @@ def divergence(
     six: bool,
     out: Array,
 ) -> int:
-    """What the normals of a band of rows ask of the height's Laplacian; how many are unknown.
+    """Laplacian of the height that the normals of a band of rows ask for; how many are unknown.
 
     ``normals`` (H, W, 3) is the whole field, ``out`` (h, W) its rows from ``first`` on; ``x`` (W,)
     and ``y`` (H,) say how far the rays lean, ``limit`` is 1 / tan^2 of the greatest angle to the

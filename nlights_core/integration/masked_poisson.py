@@ -69,7 +69,7 @@ def solve_embedded(
 
 
 def masked_laplacian(height: Array, known: Array, out: Array) -> float:
-    """By what a pixel's known neighbours exceed it, in all; and the sum of that times the height.
+    """Sum of what a pixel's known neighbours exceed it by; and the sum of that times the height.
 
     Parameters
     ----------

@@ -32,7 +32,7 @@ CLOSE_ENOUGH = 0.25
 
 
 def weighted_laplacian(height: Array, across: Array, down: Array) -> Array:
-    """What each pixel's height exceeds its neighbours' by, each neighbour by its weight.
+    """Sum over each pixel's neighbours of the weight times how much the pixel is higher than they are.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def weighted_laplacian(height: Array, across: Array, down: Array) -> Array:
 
 
 def left_over(residual: Array, length: float, height: Array, across: Array, down: Array, out: Array) -> None:
-    """What is left of a residual after going a length along a height.
+    """Remainder of a residual after going a length along a height.
 
     Parameters
     ----------

@@ -17,7 +17,7 @@ LINES = 16
 
 
 def facing_rays(normals: Array, grid: PixelGrid, rows: slice = ALL) -> Array:
-    """How far each normal faces the pixel's ray: what divides its slope.
+    """Divisor of each normal's slope: how far the normal faces the pixel's ray.
 
     It is ``-n.E``, where ``E = (P0 - C) / C_z`` is the ray from the camera C to the pixel's point
     P0 of the plane, as long as it is for 1 of height; so it is the cosine of the angle to the ray
@@ -91,7 +91,7 @@ def seen_gradient(
 
 
 def ray_slopes(grid: PixelGrid, rows: slice, precision: DTypeLike) -> tuple[Array, Array]:
-    """How far sideways the pixels' rays go for 1 of depth.
+    """Distance that the pixels' rays go sideways for 1 of depth.
 
     Parameters
     ----------
@@ -156,7 +156,7 @@ def seen_surface(scaled_log: Array, tilt: tuple[float, float], camera_height: fl
 
 
 def perspective_height(scaled_log: Array, camera_height: float) -> Array:
-    """As `seen_surface` makes z, without a plane and as an array of its own."""
+    """The z of `seen_surface`, without a plane and as an array of its own."""
     height = scaled_log.copy()
     seen_surface(height, (0.0, 0.0), camera_height)
     return height

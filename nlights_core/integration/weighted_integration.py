@@ -149,7 +149,7 @@ def middle_uncertainty(confidence: Array, known: Array) -> float:
 
 
 def evenly_certain(facing: Array, uncertainty: Array | None) -> bool:
-    """Whether weights would matter little: at most one slope in a thousand is far less certain.
+    """Test whether weights would matter little: at most one slope in a thousand is far less certain.
 
     Parameters
     ----------
@@ -241,7 +241,7 @@ def _sample(height: Array, directions: Iterable[_Steps], grid: PixelGrid) -> tup
 
 
 def _source(directions: Iterable[_Steps], weights: list[Array]) -> Array:
-    """What `weighted_laplacian` makes of a height that has just these steps."""
+    """`weighted_laplacian` of a height that has just these steps."""
     across, down = directions
     source = np.zeros((len(across.step), down.step.shape[1]))
     for steps, weight, out in ((across.step, weights[0], source), (down.step.T, weights[1].T, source.T)):

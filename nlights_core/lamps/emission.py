@@ -1,4 +1,4 @@
-"""How each lamp emits, fitted to photographs of a flat, and whether the stand's file fits them.
+"""Emission of each lamp, fitted to photographs of a flat, and whether the stand's file fits them.
 
 The reading of one plane says nothing about where a lamp is if the lamp may emit as it likes: every
 position has an emission that explains it.  What tells is how odd an emission a wrong position
@@ -29,7 +29,7 @@ FALSE_ALARM = 0.001
 
 @dataclass(frozen=True)
 class Emission:
-    """What the flats say about the lamps.
+    """Findings of the flats about the lamps.
 
     Attributes
     ----------
@@ -181,7 +181,7 @@ def computed_flat_field(emission: Emission, stand: Stand, x: Array, y: Array) ->
 
 
 def flat_fit(reading: Array, emission: Emission, stand: Stand, x: Array, y: Array) -> tuple[float, float]:
-    """How flat the flat comes out when its lamps are computed instead of photographed.
+    """Measure how flat the flat comes out when its lamps are computed instead of photographed.
 
     The flats are divided by `computed_flat_field` and measured as an artwork would be.  What is left is
     what stand file and fitted emission get wrong together, and what is not plane about the flat.
@@ -230,7 +230,7 @@ def _scaled_normals(images: Array, light: Array) -> Array:
 
 
 def _variance_component(shifts: Array, covariance: Array, stated: float) -> tuple[float, float]:
-    """How much better another uncertainty explains shifts than the stated one does, and which.
+    """Likelihood of another uncertainty of shifts against the stated one, and which one is likeliest.
 
     Returns
     -------
@@ -250,7 +250,7 @@ def _variance_component(shifts: Array, covariance: Array, stated: float) -> tupl
 
 @dataclass(frozen=True)
 class StandCheck:
-    """Whether the stand's file fits the flats, in a few numbers.
+    """Check of the stand's file against the flats, in a few numbers.
 
     Attributes
     ----------

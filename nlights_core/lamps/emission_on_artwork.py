@@ -1,4 +1,4 @@
-"""How each lamp emits, fitted to photographs of the artwork itself, where there is no flat.
+"""Emission of each lamp, fitted to photographs of the artwork itself, where there is no flat.
 
 Averaged over blocks an artwork is nearly flat, but of unknown albedo.  Block j reads under lamp i
 
@@ -145,7 +145,7 @@ def _readings(images: Array, lights: LightField, x: Array, y: Array) -> Readings
 
 
 def _leaning(data: Readings) -> Array:
-    """What a slope of 1 across and up the picture changes in the logarithm, (L, N, 2)."""
+    """Change of the logarithm by a slope of 1 across and up the picture, (L, N, 2)."""
     ray = data.positions[:, None, :] - data.points
     return np.asarray(-ray[..., :2] / ray[..., 2:])
 
@@ -194,7 +194,7 @@ def _weights(
 
 
 def _contradicted(changes: Array, matrix: Array) -> bool:
-    """Whether powers, aims and exponents as given, (L, 18) of no change, are improbable: Wald's test.
+    """Test whether powers, aims and exponents as given, (L, 18) of no change, are improbable: Wald's test.
 
     Lobes, positions and the warp of the artwork may explain what they can.
     """

@@ -85,7 +85,7 @@ class Readings:
 
 @dataclass(frozen=True)
 class LobeFit:
-    """What was fitted.
+    """Fitted lobes of the lamps, and the lens.
 
     Attributes
     ----------

@@ -181,7 +181,7 @@ def _outline_points(image: Array, circle: Array, width: float) -> tuple[Array, f
 
 
 def highlight_centre(grey: Array, circle: Array, threshold: float) -> Array:
-    """Where the lamp's highlight is on a chrome sphere.
+    """Place of the lamp's highlight on a chrome sphere.
 
     The median of the columns and of the rows of all bright pixels inside the disc, as in
     PSBox: small second reflections shift a mean by degrees, a median hardly.

@@ -1,4 +1,4 @@
-"""How strong each lamp is and how much ambient light it comes with, fitted to photographs.
+"""Strengths of the lamps and their ambient light, fitted to photographs.
 
 Xiong's model says that pixel j, of scaled normal b_j (albedo times normal), reads under lamp i
 
@@ -220,7 +220,7 @@ def _bounded(matrices: Array) -> Array:
 
 
 def _residual(samples: _Samples, estimate: _Estimate) -> Array:
-    """What the model leaves unexplained, (N, L)."""
+    """Residual that the model leaves unexplained, (N, L)."""
     shading = np.einsum("nlk,nk->nl", samples.lights, estimate.scaled)
     albedo = np.linalg.norm(estimate.scaled, axis=1, keepdims=True)
     return np.asarray(samples.values - estimate.strength * shading - estimate.ambient * albedo)

@@ -1,4 +1,4 @@
-"""What is told of compiling while it goes on: it takes half a minute, once per machine.
+"""Messages about compiling while it goes on: it takes half a minute, once per machine.
 
 Apart from `nlights_core.machine.compiling`, since whoever wants to be told must not import numba.
 """
@@ -15,7 +15,7 @@ Told = Callable[["Compilation"], None]
 
 @dataclass
 class Compilation:
-    """What this process has compiled so far.
+    """Record of what this process has compiled so far.
 
     Attributes
     ----------

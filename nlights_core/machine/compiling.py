@@ -1,4 +1,4 @@
-"""How loops over pixels are compiled, by numba, when they are first called.
+"""Compilation of loops over pixels, by numba, when they are first called.
 
 Compiled for ``x86-64-v3`` (processors with AVX2, since 2013) they run as fast as when they are compiled for the
 very processor, give the same bits, and can be prepared on one machine for another.  Older and other processors
@@ -51,7 +51,7 @@ if not _chosen and set(NEEDED) <= {word[1:] for word in _host.split(",") if word
 
 
 class _Place(_CacheLocator):
-    """Where numba looks for a function, and by what it knows that it is fresh: by the folder's name alone."""
+    """Place where numba looks for a function; the folder's name alone tells that it is fresh."""
 
     def __init__(self, function: Any) -> None:
         self.name = place_of(function.__module__)
@@ -75,7 +75,7 @@ class _Impl(CompileResultCacheImpl):
 
 
 class _KernelCache(FunctionCache):
-    """Looks for a function in all folders, and writes to one."""
+    """Cache that looks for a function in all folders, and writes to one."""
 
     _impl_class = _Impl
 

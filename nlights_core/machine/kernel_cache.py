@@ -1,4 +1,4 @@
-"""Where compiled loops are kept between processes, and by what they are found again.
+"""Folders in which compiled loops are kept between processes, and digests by which they are found again.
 
 What numba compiled is found by a digest of all sources that it was made of, not by a file's place or date: the
 same code in another folder, or touched, finds it.  It is kept in a folder of the user's; `nlights doctor --warm`

@@ -12,7 +12,7 @@ SWITCH = "NLIGHTS_KERNELS"
 
 
 def available() -> bool:
-    """Whether there are compiled kernels: numba is installed and the switch is not off."""
+    """Test whether there are compiled kernels: numba is installed and the switch is not off."""
     return os.environ.get(SWITCH) != "off" and importlib.util.find_spec("numba") is not None
 
 

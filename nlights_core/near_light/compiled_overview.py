@@ -113,7 +113,7 @@ def _times(m: Any, x: float, y: float, z: float) -> tuple[float, float, float]:
 def changes(
     images: Array, lights: Array, above: Array, lights_above: Array, solution: Array, step: float, out: Array
 ) -> None:
-    """By how much the predicted images miss those at a height that is higher by a step, per mm.
+    """Changes of the predicted images against those at a height that is higher by a step, per mm.
 
     Parameters
     ----------

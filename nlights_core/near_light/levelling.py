@@ -69,7 +69,7 @@ TUNING = 2.385
 
 @dataclass(frozen=True)
 class Level:
-    """What was found.
+    """Fitted level of the surface, and strengths of the lamps.
 
     Attributes
     ----------
@@ -248,7 +248,7 @@ def _equations(
 
 
 def _bends(grid: PixelGrid, lights: LightField, flat_field: FlatField) -> Array:
-    """By how much a flat surface seems to bend when a lamp becomes stronger, on a coarse grid.
+    """Bend that a flat surface seems to get when a lamp becomes stronger, on a coarse grid.
 
     Returns
     -------

@@ -206,7 +206,7 @@ def _residuals(images: Array, lights: Array, scaled: Array) -> Array:
 
 
 def _off_normals(values: Array, lights: Array, weights: Array, inverse: Array) -> Array:
-    """What of some values in every pixel no change of its normal could explain, (L, N)."""
+    """Part of some values in every pixel that no change of its normal could explain, (L, N)."""
     right = np.einsum("ln,lnk->kn", np.where(weights > 0, weights * values, 0), lights)
     scaled = least_squares.multiply(inverse, right)
     return _residuals(values, lights, scaled)

@@ -66,7 +66,7 @@ class ReducedRoom(Darkroom):
         return Raw(start, stop, images, self.saturated[:, start:stop], self.inside[start:stop])
 
     def check(self) -> None:
-        """Nothing: the photographs are judged where they are read in full."""
+        """Do nothing: the photographs are judged where they are read in full."""
 
 
 def reduced_room(room: Darkroom, progress: Callable[[float], None]) -> ReducedRoom:
@@ -217,7 +217,7 @@ def block_edge(columns: int) -> int:
 
 
 def _between(length: int, factor: int, blocks: int) -> tuple[Array, Array, Array]:
-    """For each pixel of a line the blocks before and after it, and how near it is to the latter."""
+    """Blocks before and after each pixel of a line, and how near it is to the latter."""
     place = np.clip((np.arange(length) + 0.5) / factor - 0.5, 0, blocks - 1)
     before = np.minimum(place.astype(np.intp), max(blocks - 2, 0))
     return before, np.minimum(before + 1, blocks - 1), (place - before).astype(np.float32)

@@ -1,4 +1,4 @@
-"""What the uncertainty of the lamps' measured positions does to normals and height: smooth errors.
+"""Smooth errors of normals and height by the uncertainty of the lamps' measured positions.
 
 Noise differs from pixel to pixel and averages out in the height.  A lamp that is a millimetre
 off bends the whole field instead, and only this tells by how much.
@@ -108,7 +108,7 @@ def _block_means(normals: Array, grid: PixelGrid) -> tuple[Array, PixelGrid]:
 
 
 def _light(lights: LightField, points: Array, photographed: bool) -> Array:
-    """What a solver takes for the light of each lamp, (L, h, w, 3) float64."""
+    """Light of each lamp as a solver takes it, (L, h, w, 3) float64."""
     assert lights.positions is not None
     rays = lights.positions[:, None, None, :] - np.moveaxis(points, 0, -1)
     if photographed:

@@ -123,7 +123,7 @@ def develop(
 
 @kernel
 def cells(values: Array, columns: int, found: Array) -> None:
-    """What `Optics.flat_field` is.
+    """Compute the cells of `Optics.flat_field`.
 
     Parameters
     ----------
@@ -150,7 +150,7 @@ def cells(values: Array, columns: int, found: Array) -> None:
 
 @inner
 def _stand(strip: Strip, optics: Optics, row: int, column: int, size: int, of: Array) -> None:
-    """Where the pixels of a block are on the surface, and whether inside the mask."""
+    """Locate the pixels of a block on the surface; whether they are inside the mask."""
     y = strip.y[row]
     of[_X : _X + BLOCK] = strip.x[column]
     of[_Y : _Y + BLOCK] = y
@@ -231,7 +231,7 @@ def _meet(
     lens: Array,
     of: Array,
 ) -> None:
-    """Where a lamp's ray meets the plane, as a cell of the flat field and a place in it; the vignetting."""
+    """Find where a lamp's ray meets the plane, as a cell of the flat field and a place in it; the vignetting."""
     sx, sy, sz = position
     left, top, per_step = place[0], place[1], ONE / place[2]
     most_right, most_down = np.float32(shape[1] - 1), np.float32(shape[0] - 1)

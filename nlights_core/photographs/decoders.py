@@ -109,7 +109,7 @@ def damage_explained(path: Path) -> Iterator[None]:
 
 
 def is_raw(path: Path) -> bool:
-    """Whether the name is that of a camera raw file."""
+    """Test whether the name is that of a camera raw file."""
     return path.suffix.lower() in RAW_EXTENSIONS
 
 

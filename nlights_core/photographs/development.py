@@ -45,7 +45,7 @@ Result = TypeVar("Result")
 
 @dataclass
 class Exposure:
-    """What was seen of one photograph while it was read.
+    """Brightness and saturation of one photograph, counted while it was read.
 
     Attributes
     ----------
@@ -88,7 +88,7 @@ class Exposure:
 
 
 class Rows(Protocol):
-    """What gives rows of a map when asked for a slice, as an array does."""
+    """Protocol of a map that gives its rows for a slice, as an array does."""
 
     def __getitem__(self, rows: slice, /) -> Array:
         """Some rows."""
@@ -208,7 +208,7 @@ class Darkroom:
 
     @property
     def view_step(self) -> int:
-        """Of the photographs every so many rows and columns are in the views."""
+        """Step in rows and columns of the photographs from one pixel of the views to the next."""
         return max(1, self.grid.columns // VIEW_COLUMNS)
 
     def add_view(self, images: Array) -> None:
@@ -371,7 +371,7 @@ def _related(
     pixels: Array | None,
     photons: Array,
 ) -> Array:
-    """As `_relative`, for near lamps without ambient light; ``photons`` (L, C) is the variance they bring."""
+    """Do as `_relative` does, for near lamps without ambient light; ``photons`` (L, C) is the variance they bring."""
     from nlights_core.photographs.compiled_relation import relate
 
     assert lights.positions is not None

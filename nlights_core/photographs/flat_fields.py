@@ -134,7 +134,7 @@ def natural_vignetting(camera: tuple[float, float, float], x: Array, y: Array) -
 def vignetting(
     reading: Array, lights: LightField, x: Array, y: Array, camera: tuple[float, float, float]
 ) -> float:
-    """How much the lens darkens a photographed flat, as a multiple of the natural law's logarithm.
+    """Darkening of a photographed flat by the lens, as a multiple of the natural law's logarithm.
 
     What all lamps' readings have in common is not yet the lens's: eight lenses aimed at the
     centre darken the corners too.  But a lamp's beam is round across its axis and so longer on the

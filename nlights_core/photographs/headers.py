@@ -48,7 +48,7 @@ def survey(tile: Tile) -> ImageInfo:
 
 
 def grid_of(tile: Tile, info: ImageInfo) -> PixelGrid:
-    """Where the pixels of a tile are on the plane.
+    """Pixel grid of a tile on the plane.
 
     The stand's framed field sets the scale; without a stand the capture's ``pixel_size_mm``
     does; without either the unit of length is the pixel.

@@ -29,7 +29,7 @@ _decoding_large = threading.Lock()
 
 @dataclass(frozen=True)
 class ImageInfo:
-    """What a photograph's header says.
+    """Header of a photograph.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ class Photograph:
 
     @property
     def info(self) -> ImageInfo:
-        """What the header says; raises `TileError` as `probe` does."""
+        """The photograph's header; raises `TileError` as `probe` does."""
         decoder = self._open()
         cell = 2 if self._mosaic else 1
         return ImageInfo(
@@ -164,14 +164,14 @@ class Photograph:
 
     @property
     def plain(self) -> bool:
-        """Whether light is the file's number over the saturation level: no mosaic, no tone curve."""
+        """Test whether light is the file's number over the saturation level: no mosaic, no tone curve."""
         decoder = self._open()
         whole = decoder.dtype.kind == "u" and decoder.dtype.itemsize <= 2
         return whole and self._mosaic is None and self._transfer == "linear"
 
     @property
     def scale(self) -> tuple[float, float, float]:
-        """Of a `plain` photograph: light per number, the number at which the sensor saturates, the largest light."""
+        """Light per number of a `plain` photograph, the number at which the sensor saturates, the largest light."""
         info = self.info
         if np.isfinite(info.saturation):
             return 1 / info.saturation, info.saturation, np.inf
@@ -386,7 +386,7 @@ def grey(image: Array, shares: Array | None = None) -> Array:
 
 
 def is_saturated(band: Array) -> Array:
-    """Whether any channel of a pixel is at or above the saturation level.
+    """Test whether any channel of a pixel is at or above the saturation level.
 
     Parameters
     ----------

@@ -96,7 +96,7 @@ class Noise:
 
     @classmethod
     def of_sensor(cls, sensor: Sensor, channels: int, dark: bool) -> Noise:
-        """What a capture states of its sensor; ``dark``: a dark frame is subtracted."""
+        """Noise that a capture states of its sensor; ``dark``: a dark frame is subtracted."""
         electrons = sensor.electrons_at_saturation
         readout = (sensor.read_noise_electrons / electrons) ** 2 * (2 if dark else 1)
         return cls(np.full(channels, 1 / electrons), np.full(channels, readout))

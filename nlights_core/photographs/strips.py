@@ -30,7 +30,7 @@ class Strip(NamedTuple):
 
 
 class Optics(NamedTuple):
-    """What is the same for all pixels of a tile; float32 arrays.
+    """Constants of all pixels of a tile; float32 arrays.
 
     Attributes
     ----------

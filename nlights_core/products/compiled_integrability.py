@@ -63,7 +63,7 @@ def _fewer_points(a: float, b: float, c: float, d: float, e: float, f: float) ->
 
 @inner
 def _height_step(first: float, second: float, distance: float) -> float:
-    """From a pixel's height to the next one's; of the logarithm of the depth where there is a camera.
+    """Step from a pixel's height to the next one's; of the logarithm of the depth where there is a camera.
 
     The logarithm of the ratio of the depths is the area tangent's series, whose first four terms are
     exact to 1e-15 for steps of up to a twentieth of the depth.
@@ -77,7 +77,7 @@ def _height_step(first: float, second: float, distance: float) -> float:
 
 @kernel
 def surplus(slope: Array, height: Array, distance: float, rise: int, out: Array) -> None:
-    """What slopes say beyond the height's own steps, between the pixels; 0 where not known.
+    """Surplus of slopes over the height's own steps, between the pixels; 0 where not known.
 
     With ``rise`` 0 the steps go from column to column: ``slope`` (n, BEFORE + W + AFTER) is
     ``across`` of `slopes`, ``out`` (n, 3 + W + 2) float32.  With 1 they go from row to row:

@@ -79,7 +79,7 @@ def faces(height: Array, rows: int, first: int, out: Array) -> None:
 
 @kernel
 def split_errors(z: Array, size: int) -> Array:
-    """How much each node of a lattice matters in a right-triangulated irregular network.
+    """Error that leaving out each node of a lattice makes in a right-triangulated irregular network.
 
     A square of ``size`` steps, a power of two, is two triangles; each triangle may be split at the
     middle of its longest side, and so on.  The error of a middle is its distance from the line
@@ -271,7 +271,7 @@ def deviation(
 
 @inner
 def _side(first: Array, second: Array, turn: float, slack: float) -> tuple[float, float, float]:
-    """Whether a triangle's side bounds it on the left (1), the right (-1) or not at all within a row (0).
+    """Tell whether a triangle's side bounds it on the left (1), the right (-1) or not at all within a row (0).
 
     Then the side's column in row 0, moved outwards by ``slack``, and its columns per row.
     """

@@ -201,7 +201,7 @@ def refined(height: Array, faces: int) -> tuple[Array, Array]:
 
 
 def deviation(places: Array, corners: Array, height: Array) -> dict[str, float]:
-    """How far a mesh is from a height map along z, at every pixel.
+    """Deviation of a mesh from a height map along z, at every pixel.
 
     Parameters
     ----------
@@ -243,7 +243,7 @@ def _texture(albedo: Array, block: int) -> Array:
 
 
 def _on_texture(places: Array, shape: tuple[int, int], block: int) -> Array:
-    """Where vertices (column, row, z) lie on a texture of blocks: from 0 to 1, rightwards and upwards.
+    """Coordinates of vertices (column, row, z) on a texture of blocks: from 0 to 1, rightwards and upwards.
 
     Perspective moves a vertex, but not on the texture: it has the colour of its pixel.
     """

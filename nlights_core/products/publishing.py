@@ -91,7 +91,7 @@ def _put(draft: Path, target: Path, former: Path) -> None:
 
 
 def _settle(former: Path, target: Path) -> None:
-    """What a run has moved aside comes back where nothing stands in its place, else it goes."""
+    """Bring back what a run has moved aside where nothing stands in its place, else remove it."""
     if not former.is_dir():
         return
     aside = former.parent / draft_name()
@@ -125,7 +125,7 @@ def _take_along(source: Path, draft: Path) -> bool:
 
 
 def _inode(path: Path) -> int | None:
-    """What tells a folder from another of the same name; None where there is none."""
+    """Inode number that tells a folder from another of the same name; None where there is none."""
     try:
         return path.stat().st_ino
     except FileNotFoundError:

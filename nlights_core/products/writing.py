@@ -155,7 +155,7 @@ def write_maps(
 
 
 def _exposure(albedo: Array) -> float:
-    """What makes the brightest parts of a relative albedo nearly white."""
+    """Factor that makes the brightest parts of a relative albedo nearly white."""
     values = sampled(albedo)
     bright = float(np.percentile(values, 99.5)) if values.size else 0.0
     return 0.9 / bright if bright > 0 else 1.0

@@ -44,7 +44,7 @@ def _albedo_colours(albedo: Array) -> Array:
 
 
 def albedo_scale(white: float | None) -> str:
-    """What the albedo counts from, given the stated reflectance of the flat (None: there was none)."""
+    """Sentence on the scale of the albedo, given the stated reflectance of the flat (None: there was none)."""
     if white is None:
         return "Relative: there was no flat, so only ratios within this tile count."
     return (
@@ -54,7 +54,7 @@ def albedo_scale(white: float | None) -> str:
 
 
 def _exposure(albedo: Array | None) -> float:
-    """What an albedo is multiplied by to be seen: 1, unless it is relative and far too dark or bright."""
+    """Factor that an albedo is multiplied by to be seen: 1, unless it is relative and far too dark or bright."""
     if albedo is None or not np.isfinite(albedo).any():
         return 1.0
     bright = float(np.nanpercentile(albedo, 99.5))
@@ -83,7 +83,7 @@ class Views:
 
     @cached_property
     def height_unit(self) -> tuple[float, str]:
-        """What heights are multiplied by in this report, and their unit then: µm where the relief is flat."""
+        """Factor that heights are multiplied by in this report, and their unit then: µm where the relief is flat."""
         if self.grid.unit == "px":
             return 1.0, "pixels"
         low, high = (0.0, 1.0) if self.height is None else pictures.robust_range(self.height)
@@ -100,7 +100,7 @@ class Views:
 
 
 def _surface(views: Views, white: float | None) -> Iterable[Picture]:
-    """What the surface looks like and how high it is."""
+    """Chapter: what the surface looks like and how high it is."""
     albedo, normals, height = views.of("albedo"), views.of("normals"), views.height
     exposure = _exposure(albedo)
     if albedo is not None:
@@ -133,7 +133,7 @@ def _surface(views: Views, white: float | None) -> Iterable[Picture]:
 
 
 def _orientation(views: Views, normals: Array) -> Iterable[Picture]:
-    """Which way the surface faces, and how steep it is."""
+    """Chapter: which way the surface faces, and how steep it is."""
     colours = np.nan_to_num(normals * 127.5 + 128, nan=0.0).clip(0, 255).astype(np.uint8)
     yield Picture(
         "Normals",
@@ -217,7 +217,7 @@ def _height(views: Views, height: Array) -> Iterable[Picture]:
 
 
 def _trust(views: Views) -> Iterable[Picture]:
-    """How far each place of the surface can be trusted."""
+    """Chapter: how far each place of the surface can be trusted."""
     residual, reflection, confidence = (views.of(n) for n in ("residual", "reflection", "confidence"))
     if residual is not None:
         ends = pictures.robust_range(residual, from_zero=True)
@@ -267,7 +267,7 @@ def _trust(views: Views) -> Iterable[Picture]:
 
 
 def _lights_used(views: Views) -> Picture:
-    """How many lights served at each pixel."""
+    """Chapter: how many lights served at each pixel."""
     f = views.factor
     used = np.asarray(views.maps["used"][f // 2 :: f, f // 2 :: f][: views.rows, : views.columns], int)
     most = max([int(used.max()), *(len(views.maps[n]) for n in ("flat_field", "frames") if n in views.maps)])
@@ -287,7 +287,7 @@ def _lights_used(views: Views) -> Picture:
 
 
 def _removed(views: Views, lamps: Sequence[str]) -> Iterable[Picture]:
-    """What was taken out of the measurement."""
+    """Chapter: what was taken out of the measurement."""
     if "flat_field" in views.maps:
         flat_fields = [_grey_mean(np.asarray(p, np.float64)) for p in views.maps["flat_field"]]
         relative = [p / np.nanmax(p) if np.isfinite(p).any() else p for p in flat_fields]
@@ -340,7 +340,7 @@ def _photographs(views: Views, lamps: Sequence[str]) -> Iterable[Picture]:
 
 
 def _light(views: Views, lights: Mapping[str, Any] | None) -> Iterable[Picture]:
-    """Where the lamps were."""
+    """Chapter: where the lamps were."""
     if not lights or not (lights.get("positions") or lights.get("directions")):
         return
     near = lights.get("positions") is not None

@@ -17,7 +17,7 @@ NOISE = "Photon noise at saturation"
 def of_flat_levels(
     flat_field: Array | None, power: Array | None, noise: Noise | None, lamps: Sequence[str], missing: str
 ) -> list[Number]:
-    """How bright the flat is under each lamp, and the noise that was measured on it.
+    """Brightness of the flat under each lamp, and the noise that was measured on it.
 
     Parameters
     ----------

@@ -119,7 +119,7 @@ def unevenness(reading: Array) -> float | None:
 
 
 def misclosure(normals: Array, grid: PixelGrid) -> float | None:
-    """How badly heights fail to close on a walk once round a pixel: the curl of the slopes.
+    """Misclosure of heights on a walk once round a pixel: the curl of the slopes.
 
     With the height steps p per column and q per row (`NormalField.gradient`), each 2 x 2 of known
     pixels gives, by the trapezoid rule,
@@ -153,7 +153,7 @@ def misclosure(normals: Array, grid: PixelGrid) -> float | None:
 
 
 class Relief(NamedTuple):
-    """What a height map is as a whole.
+    """Spread and best plane of a height map.
 
     Attributes
     ----------

@@ -28,7 +28,7 @@ Tick = tuple[float, str]
 
 @dataclass(frozen=True)
 class ColourBar:
-    """What the colours of a picture mean.
+    """Legend of a picture's colours.
 
     Parameters
     ----------

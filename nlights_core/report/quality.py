@@ -263,7 +263,7 @@ def grouped(numbers: Sequence[Number]) -> list[Number]:
 
 
 def of_agreement(found: Agreement, lamps: Sequence[str]) -> list[Number]:
-    """What the photographs say of the model: residuals against the noise, lamps held out."""
+    """Numbers of how the photographs agree with the model: residuals against the noise, lamps held out."""
     known = [(value, lamp) for value, lamp in zip(found.held_out, lamps, strict=True) if value is not None]
     mean = 100 * float(np.sqrt(np.mean([value**2 for value, _ in known]))) if known else None
     worst, lamp = max(known, default=(None, ""))
@@ -295,7 +295,7 @@ def of_agreement(found: Agreement, lamps: Sequence[str]) -> list[Number]:
 
 
 def of_positions(found: PositionUncertainty | None, uncertainty: float | None) -> list[Number]:
-    """What the uncertainty of the lamps' measured positions does to normals and height."""
+    """Errors of normals and height by the uncertainty of the lamps' measured positions."""
     said = f"{uncertainty:g} mm" if uncertainty else "an unknown amount"
     return [
         Number(
@@ -317,7 +317,7 @@ def of_positions(found: PositionUncertainty | None, uncertainty: float | None) -
 
 
 def of_flat(check: StandCheck | None, stand: str | None, missing: str) -> list[Number]:
-    """What the photographs of the flat say of themselves and of the stand's file."""
+    """Numbers of the photographs of the flat: about themselves and the stand's file."""
     warning = ""
     if check is not None and not check.fits:
         named = f", above all {', '.join(check.suspects)}" if check.suspects else ""
@@ -359,7 +359,7 @@ def of_flat(check: StandCheck | None, stand: str | None, missing: str) -> list[N
 
 
 def of_level(level: Level) -> list[Number]:
-    """What the photographs say of the surface's level and of the lamps since the flats were taken."""
+    """Numbers that the photographs give of the surface's level and of the lamps since the flats were taken."""
     found = level.uncertainty is not None
     drift = 100 * (float(np.max(level.strengths)) - float(np.min(level.strengths)))
     return [

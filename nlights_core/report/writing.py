@@ -1,4 +1,4 @@
-"""What people read of a tile: the report, its numbers, and what made them."""
+"""Pages that people read of a tile: the report, its numbers, and what made them."""
 
 from __future__ import annotations
 

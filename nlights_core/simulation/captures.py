@@ -82,7 +82,7 @@ class Studio:
     def radiance(
         self, start: int, stop: int, truth: tuple[Array, Array, Array]
     ) -> Iterator[tuple[Array, Array, Array]]:
-        """What the lens sees of a band of rows, lamp group by lamp group, before exposure.
+        """Light that the lens receives of a band of rows, lamp group by lamp group, before exposure.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""How far products are from a simulated capture's truth."""
+"""Evaluation of products: how far they are from a simulated capture's truth."""
 
 from __future__ import annotations
 

@@ -75,7 +75,7 @@ def lamp_groups(stand: Stand, random: Generator) -> list[LampGroup]:
 
 @dataclass(frozen=True)
 class Horizon:
-    """How high the relief rises between each point and a lamp, on a grid over the field.
+    """Horizon that the relief makes between each point and a lamp, on a grid over the field.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What lies under the simulated camera: relief and colour of four artworks, and a stand."""
+"""Scenes under the simulated camera: relief and colour of four artworks, and a stand."""
 
 from __future__ import annotations
 

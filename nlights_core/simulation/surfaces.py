@@ -191,7 +191,7 @@ class Stroke:
 
     @cached_property
     def reach(self) -> tuple[float, float]:
-        """How far from its centre the stroke extends along x and y, mm."""
+        """Distance from its centre that the stroke extends along x and y, mm."""
         cosine, sine = np.cos(np.radians(self.angle_deg)), np.sin(np.radians(self.angle_deg))
         across = np.hypot(self.length * cosine, self.width * sine)
         return float(across), float(np.hypot(self.length * sine, self.width * cosine))
@@ -247,7 +247,7 @@ def strokes(parts: Sequence[Stroke]) -> Surface:
 
 
 def seen_points(surface: Surface, grid: PixelGrid, start: int = 0, stop: int | None = None) -> Array:
-    """Where the rays of a band of rows meet a surface.
+    """Points in which the rays of a band of rows meet a surface.
 
     The point at height z seen through (x0, y0) is ``x = x0 + (Cx - x0) z / Cz``, likewise y; the
     fixed point z = height(x, y) is iterated to 1e-9 mm.

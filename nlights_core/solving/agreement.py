@@ -1,4 +1,4 @@
-"""How well the photographs agree with the model: residuals in units of the noise, lamps held out."""
+"""Agreement of the photographs with the model: residuals in units of the noise, lamps held out."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Solve = Callable[[Band], Solution]
 
 @dataclass(frozen=True)
 class Agreement:
-    """What was found.
+    """Agreement of the photographs with the model.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class Agreement:
 
 @dataclass
 class AgreementMeter:
-    """Collects over the bands of a tile what `Agreement` says.
+    """Meter of what `Agreement` says, collected over the bands of a tile.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ class AgreementMeter:
         return np.where(band.weights[lamp] > 0, missed**2, np.nan).ravel()
 
     def found(self) -> Agreement:
-        """What all bands said."""
+        """Agreement over all bands."""
         surprises = np.concatenate(self._surprises) if self._surprises else np.empty(0)
         surprises = surprises[np.isfinite(surprises)]
         squares = np.concatenate(self._squares, axis=1) if self._squares else np.empty((0, 0))

@@ -169,7 +169,7 @@ def solved(solver: NormalSolver, band: Band) -> Solution:
 
 
 def _shading(found: Solution, band: Band) -> Array:
-    """What each light would show of an albedo of 1, (L, h, w) float32."""
+    """Shading of an albedo of 1 under each light, (L, h, w) float32."""
     shading = np.empty(band.weights.shape, np.float32)
     for i, light in enumerate(band.lights):
         shading[i] = np.einsum("hwk,hwk->hw", np.broadcast_to(light, found.normals.shape), found.normals)

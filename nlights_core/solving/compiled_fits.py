@@ -28,7 +28,7 @@ SURE = np.float32(1e-3)
 
 
 class Work(NamedTuple):
-    """What is known of the pixels of some blocks, and room to work in.
+    """State of the pixels of some blocks, and room to work in.
 
     Attributes
     ----------
@@ -67,7 +67,7 @@ class Work(NamedTuple):
 
 @inner
 def count_usable(samples: Array, counts: Array) -> None:
-    """How many samples of each pixel are usable."""
+    """Count the usable samples of each pixel."""
     for p in range(BLOCK):
         counts[p] = ZERO
     for i in range(len(samples)):
@@ -151,14 +151,14 @@ def surely_determined(condition: float) -> Any:
 
 @numba.njit(inline="always")
 def missed_by(of: Array, fit: Array, p: int) -> Any:
-    """What a sample shows beyond a fit."""
+    """Residual of a sample from a fit."""
     shown = of[X + p] * fit[SCALED + p] + of[Y + p] * fit[SCALED + BLOCK + p]
     return of[VALUE + p] - (shown + of[Z + p] * fit[SCALED + 2 * BLOCK + p])
 
 
 @numba.njit(inline="always")
 def leverage(of: Array, fit: Array, p: int) -> Any:
-    """How strongly a sample of weight 1 would determine its own prediction by a fit, whose inverse is known."""
+    """Leverage of a sample of weight 1: how strongly it would determine its own prediction, by a fit's inverse."""
     x, y, z = of[X + p], of[Y + p], of[Z + p]
     xx, xy, xz = fit[MATRIX + p], fit[MATRIX + BLOCK + p], fit[MATRIX + 2 * BLOCK + p]
     yy, yz, zz = fit[MATRIX + 3 * BLOCK + p], fit[MATRIX + 4 * BLOCK + p], fit[MATRIX + 5 * BLOCK + p]
@@ -221,7 +221,7 @@ def solved_exactly(samples: Array, fit: Array, p: int, which: int, condition: fl
 
 @inner
 def _well(xx: float, xy: float, xz: float, yy: float, yz: float, zz: float, condition: float) -> Any:
-    """Whether a matrix is conditioned well enough: `least_squares.eigenvalues`, of one matrix."""
+    """Test whether a matrix is conditioned well enough: `least_squares.eigenvalues`, of one matrix."""
     mean = (xx + yy + zz) / 3
     a, b, c = xx - mean, yy - mean, zz - mean
     spread = np.sqrt((a * a + b * b + c * c + 2 * (xy * xy + xz * xz + yz * yz)) / 6)

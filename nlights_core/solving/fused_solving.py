@@ -47,7 +47,7 @@ PLAIN_STRIP = 1 << 16
 
 @dataclass(frozen=True)
 class FusedSolver:
-    """Solves a tile in strips.
+    """Solver of a tile in strips.
 
     Parameters
     ----------
@@ -138,7 +138,7 @@ class FusedSolver:
 
     @cached_property
     def _plain(self) -> bool:
-        """Whether the files' own numbers can be taken."""
+        """Test whether the files' own numbers can be taken."""
         dark = self.room.dark
         return all(p.plain for p in (*self.room.photographs.values(), *([dark] if dark else [])))
 
@@ -257,7 +257,7 @@ class FusedSolver:
 
     @cached_property
     def optics(self) -> Optics:
-        """What is the same for all pixels."""
+        """Constants of all pixels."""
         room, lights, flat_field = self.room, self.lights, self.flat_field
         channels = room.info.channels
         mix = grey_shares(channels, flat_field)
@@ -294,7 +294,7 @@ class FusedSolver:
 
 
 def _cells(logarithm: Array) -> Array:
-    """What `Optics.flat_field` is, of a flat field's natural logarithm (L, H, W, C)."""
+    """Cells of `Optics.flat_field`, of a flat field's natural logarithm (L, H, W, C)."""
     lamps, rows, columns, channels = logarithm.shape
     value = (logarithm * (-1 / np.log(2))).astype(np.float32)
     found = np.zeros((lamps, rows * columns, 12), np.float32)

@@ -125,7 +125,7 @@ def on_all_cores(task: Callable[[int], None], items: range) -> None:
 
 
 def _plain(array: Array) -> Array:
-    """As the kernels are compiled for: float32, contiguous."""
+    """Array as the kernels are compiled for: float32, contiguous."""
     # What is read-only would be another type to numba, and compiled once more.
     return np.require(array, np.float32, ["C", "W"])
 

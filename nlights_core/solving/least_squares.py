@@ -177,13 +177,13 @@ def multiply(symmetric: Array, vector: Array) -> Array:
 
 
 def residual(image: Array, light: Array, scaled: Array) -> Array:
-    """What one light's image shows beyond the fit, (h, w) float64."""
+    """Residual of one light's image from the fit, (h, w) float64."""
     shown = sum(light[..., k] * scaled[k] for k in range(3))
     return np.asarray(image - shown)
 
 
 def leverage(light: Array, weight: Array, inverse: Array) -> Array:
-    """How strongly one sample determines its own prediction, (h, w) float64 in 0..1."""
+    """Leverage of one sample: how strongly it determines its own prediction, (h, w) float64 in 0..1."""
     direction = np.moveaxis(np.broadcast_to(light, (*inverse.shape[1:], 3)).astype(np.float64), -1, 0)
     return np.asarray(weight * np.sum(direction * multiply(inverse, direction), axis=0))
 

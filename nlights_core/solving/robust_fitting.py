@@ -263,7 +263,7 @@ def reweighted(images: Array, lights: Array, weights: Array, condition: float) -
 
 
 def _shown(lights: Array, scaled: Array) -> Array:
-    """What a fit predicts of every sample, (L, n) float32.
+    """Prediction of every sample by a fit, (L, n) float32.
 
     ``einsum`` and no matrix product, as in `least_squares`: those share small work out to
     all cores and wait for them.

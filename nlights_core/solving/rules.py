@@ -31,7 +31,7 @@ class Limits(NamedTuple):
 
 
 class Rule(NamedTuple):
-    """To which of its usable samples a pixel is fitted.
+    """Choice of the usable samples that a pixel is fitted to.
 
     Attributes
     ----------

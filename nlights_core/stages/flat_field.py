@@ -29,7 +29,7 @@ ROWS = 8
 
 
 def flat_field(store: Store, tile: Tile, detrend: ImageDetrend, lights: ArtefactRef) -> Work:
-    """What a flat reads: ``flat_field.npy`` and where its samples are, ``flat_field.json``."""
+    """Readings of a flat: ``flat_field.npy`` and where its samples are, ``flat_field.json``."""
     if "flats" in detrend.needs:
         facts = facts_of_photographs(store, tile, "flats")
     else:

@@ -1,4 +1,4 @@
-"""What several stages read: photographs, as facts of a key, and lights."""
+"""Inputs of several stages: photographs, as facts of a key, and lights."""
 
 from __future__ import annotations
 

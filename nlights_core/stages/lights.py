@@ -20,7 +20,7 @@ RESTS_ON = ("lamps", "photographs")
 
 
 def lights(store: Store, tile: Tile, model: LightModel) -> Work:
-    """Where the lamps are: ``lights.json``."""
+    """Positions of the lamps: ``lights.json``."""
     facts: dict[str, Any] = {
         "lamps": tile.lamps,
         "stand": tile.stand.model_dump(mode="json", exclude={"name", "source", "optics"})

@@ -1,4 +1,4 @@
-"""What every algorithm must do, whatever its kind."""
+"""Contract of every algorithm, whatever its kind."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def check_array(found: Array, shape: tuple[int, ...], what: str) -> None:
 
 
 def holed(shape: tuple[int, ...]) -> Array:
-    """Where nothing is known: one pixel inside, and the left border."""
+    """Mask of what is not known: one pixel inside, and the left border."""
     hole = np.zeros(shape, bool)
     hole[30, 40] = True
     hole[:, :2] = True
@@ -37,7 +37,7 @@ def holed(shape: tuple[int, ...]) -> Array:
 
 
 class AlgorithmContract:
-    """What every algorithm must do; subclass the contract of a kind, not this."""
+    """Contract of every algorithm; subclass the contract of a kind, not this."""
 
     algorithm: ClassVar[Any]
     kind: ClassVar[type[Algorithm]] = Algorithm

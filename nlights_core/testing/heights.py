@@ -40,7 +40,7 @@ class IntegratorContract(AlgorithmContract):
     perspective_tolerance_mm: ClassVar[float] = 0.1
 
     def height(self, normals: NormalField) -> Array:
-        """What the algorithm makes of normals, once its shape is known to be right."""
+        """Height that the algorithm makes of normals, once its shape is known to be right."""
         found = self.algorithm.integrate(normals).height
         shape = normals.grid.shape
         check(found.shape == shape, f"height must have the shape {shape}, not {found.shape}")

@@ -75,7 +75,7 @@ class LightModelContract(AlgorithmContract):
         return np.asarray(0.02 * on_sphere + 0.97 * np.exp(-((beside / 2.0) ** 2)))
 
     def test_lamps_are_found_in_the_order_of_the_frames(self) -> None:
-        """In the plane frame, whatever axes the stand was measured in."""
+        """Find them in the plane frame, whatever axes the stand was measured in."""
         tile = self.tile()
         found = self.algorithm.locate(tile, self.read)
         check(found.lamps == tile.lamps, f"lamps must be in the order of the frames, not {found.lamps}")
@@ -102,7 +102,7 @@ class LightModelContract(AlgorithmContract):
         check(LightField.from_record(first).record() == first, "the record does not read back")
 
     def test_a_tile_that_lacks_what_the_model_needs_is_refused(self) -> None:
-        """With a `TileError`, so that the other tiles go on."""
+        """Raise `TileError`, so that the other tiles go on."""
         bare = self.tile().model_copy(update={"stand": None, "spheres": (), "lights": None})
         try:
             self.algorithm.locate(bare, self.read)
@@ -113,7 +113,7 @@ class LightModelContract(AlgorithmContract):
 
 
 class ImageDetrendContract(AlgorithmContract):
-    """What a flat reads under eight near lamps without lenses.
+    """Contract of readings of a flat under eight near lamps without lenses.
 
     Attributes
     ----------
@@ -139,7 +139,7 @@ class ImageDetrendContract(AlgorithmContract):
         return np.repeat(irradiance, 3, axis=-1)
 
     def flat_field(self, flats: Array) -> Array:
-        """What the algorithm says."""
+        """Flat field that the algorithm returns."""
         given = flats if "flats" in self.algorithm.needs else None
         return self.algorithm.flat_field(given, self.lamps(), self.grid.x(), self.grid.y())
 
@@ -167,7 +167,7 @@ class ImageDetrendContract(AlgorithmContract):
         check((flat_field > 0).all(), "the flat field must be positive")
 
     def test_saturated_places_of_a_flat_do_not_spread(self) -> None:
-        """There the flat field is NaN or bridged, at most five times less exactly; elsewhere it is right."""
+        """Bridge the flat field there, at most five times less exactly, or give NaN; elsewhere it is right."""
         flats = self.true_flat_field()
         flats[2, 20:22, 30:32] = np.nan
         flat_field = np.broadcast_to(self.flat_field(flats), flats.shape)

@@ -104,7 +104,7 @@ class NormalSolverContract(AlgorithmContract):
         check(abs(share - 0.68) < 0.1, f"the confidence covers {share:.0%} of the errors, not 68 %")
 
     def test_samples_of_weight_0_are_not_used(self) -> None:
-        """Neither a saturated value nor NaN may leak through a weight of 0."""
+        """Let neither a saturated value nor NaN leak through a weight of 0."""
         images, lights, weights = self.lit()
         images[1, 4], weights[1, 4] = 50.0, 0.0
         images[6, 7], weights[6, 7] = np.nan, 0.0
@@ -114,7 +114,7 @@ class NormalSolverContract(AlgorithmContract):
         check((found.weights[6, 7] == 0).all(), "a discarded sample was given a weight")
 
     def test_fewer_than_three_lights_give_nan_and_only_there(self) -> None:
-        """Never a guess."""
+        """Give NaN, never a guess."""
         images, lights, weights = self.lit()
         weights[2:, 5, 3] = 0
         found = self.algorithm.solve(images, lights, weights)
@@ -190,7 +190,7 @@ class NormalDetrendContract(AlgorithmContract):
         return angles_between(corrected, np.array([0.0, 0.0, 1.0]))
 
     def test_a_reference_without_distortion_has_no_bias(self) -> None:
-        """What is right is left alone."""
+        """Leave alone what is right."""
         bias = self.algorithm.bias(self.reference(plane()))
         check(np.abs(bias).max() < 1e-5, "a bias was found on a perfect reference")
 

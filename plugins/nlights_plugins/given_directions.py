@@ -56,7 +56,7 @@ class GivenDirections(LightModel):
 
 
 class Listed(NamedTuple):
-    """What a file of directions holds.
+    """Contents of a file of directions.
 
     Attributes
     ----------

@@ -26,7 +26,7 @@ FLATTENED_DEG = 70.0
 
 
 class SlopeIntegrator(Integrator):
-    """What both integrators share: whose rays are followed."""
+    """Base of both integrators: whose rays are followed."""
 
     bytes_per_pixel: ClassVar[int] = PLAIN
     """Evenly certain and all known; others ask for more once they are seen."""
@@ -100,7 +100,7 @@ def _seen(grid: PixelGrid, perspective: bool) -> PixelGrid:
 
 
 def _even(field: NormalField, grid: PixelGrid) -> bool:
-    """Whether weights would matter little, on a sample of the rows."""
+    """Test whether weights would matter little, on a sample of the rows."""
     rows = sample_rows(grid)
     facing = facing_rays(field.normals[rows], grid, rows)
     uncertainty = None

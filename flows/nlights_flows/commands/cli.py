@@ -337,7 +337,7 @@ def _stopped() -> int:
 
 
 def _unread() -> int:
-    """Whoever read the output has seen enough; Python must not complain while it ends."""
+    """End quietly where whoever read the output has seen enough; Python must not complain while it ends."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     for stream in (1, 2):
         os.dup2(nowhere, stream)

@@ -10,7 +10,7 @@ import typer
 
 
 class Compression(StrEnum):
-    """How the TIFFs among the products are compressed."""
+    """Compression of the TIFFs among the products."""
 
     NONE = "none"
     ZSTD = "zstd"

@@ -159,7 +159,7 @@ def _unit(unit: str, grid_units: Sequence[str]) -> str:
 def analysed(
     metric: Metric, names: Sequence[str], measured: Mapping[str, TileMeasures], units: Sequence[str]
 ) -> dict[str, Any]:
-    """What all tiles say of one metric.
+    """Analyse one metric over all tiles.
 
     Parameters
     ----------
@@ -210,7 +210,7 @@ def analysed(
 
 
 def _has(one: TileMeasures, key: str, k: int) -> bool:
-    """Whether a variant has a metric somewhere on a tile."""
+    """Test whether a variant has a metric somewhere on a tile."""
     return bool(np.isfinite(one.places[key][..., k]).any())
 
 

@@ -1,4 +1,4 @@
-"""What is measured on a tile for every variant: errors against the truth, agreement, differences."""
+"""Metrics of a tile for every variant: errors against the truth, agreement, differences."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ QUALITY = {
 
 @dataclass
 class TileMeasures:
-    """What was measured on one tile.
+    """Measurements of one tile.
 
     Attributes
     ----------
@@ -289,7 +289,7 @@ def _tiff(path: Path) -> Array:
 
 
 def block_edges(length: int) -> Array:
-    """Where the blocks begin along a side of so many pixels, and its end."""
+    """Beginnings of the blocks along a side of so many pixels, and its end."""
     return np.linspace(0, length, min(BLOCKS, length) + 1).astype(int)
 
 

@@ -25,7 +25,7 @@ from nlights_flows.tiles.running import ensure_here
 
 @dataclass(frozen=True)
 class Order:
-    """What the user asked for; see `nlights_flows.commands.compare.compare`."""
+    """Order of a comparison; see `nlights_flows.commands.compare.compare`."""
 
     artworks: Sequence[Path]
     recipes: Sequence[str]

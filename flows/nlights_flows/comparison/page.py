@@ -87,7 +87,7 @@ def ranged(interval: Sequence[float] | None) -> str:
 
 
 def over(metric: Mapping[str, Any]) -> str:
-    """What the interval of a metric is over, in words."""
+    """Name what the interval of a metric is over, in words."""
     found = metric["over"]
     tiles = f"{found['tiles']} tile{'s' * (found['tiles'] != 1)}"
     if found["kind"] == "tiles":
@@ -97,7 +97,7 @@ def over(metric: Mapping[str, Any]) -> str:
 
 
 def verdict(metric: Mapping[str, Any]) -> str:
-    """What a metric says, in one or two sentences."""
+    """Verdict of a metric, in one or two sentences."""
     unit, rows = metric["unit"], [row for row in metric["variants"] if row["value"] is not None]
     title = metric["title"]
     if len(rows) < 2:
@@ -219,7 +219,7 @@ def _leaves(name: str, value: Any) -> list[tuple[str, Any]]:
 
 
 def stage_rows(record: Mapping[str, Any]) -> list[tuple[str, list[tuple[str, str]]]]:
-    """For each stage and variant, on the first tile that was run, which artefact it is and what it cost.
+    """Rows of stages: for each variant, on the first tile that was run, which artefact it is and what it cost.
 
     Returns
     -------
@@ -251,7 +251,7 @@ def _letter(number: int) -> str:
 
 
 def tile_rows(record: Mapping[str, Any]) -> list[tuple[str, list[tuple[str, list[str]]]]]:
-    """For each ranked metric, every tile's number of every variant."""
+    """Rows of tiles: for each ranked metric, every tile's number of every variant."""
     rows = []
     for metric in record["metrics"]:
         tiles = [tile for tile in record["tiles"] if tile["compared"] and metric["key"] in tile["values"]]

@@ -151,7 +151,7 @@ def _levelled(heights: Sequence[Array]) -> list[Array]:
 
 
 def _height_unit(heights: Sequence[Array], grid: PixelGrid) -> tuple[float, str]:
-    """What heights are multiplied by, and their unit then: µm where the relief is flat."""
+    """Factor that heights are multiplied by, and their unit then: µm where the relief is flat."""
     if grid.unit == "px":
         return 1.0, "px"
     low, high = pictures.robust_range(heights[0])

@@ -64,7 +64,7 @@ class Made:
 
 @dataclass(frozen=True)
 class Run:
-    """What became of a variant on a tile; ``stages`` are in the chain's order, as far as it came."""
+    """Outcome of a variant on a tile; ``stages`` are in the chain's order, as far as it came."""
 
     variant: str
     outcome: Outcome

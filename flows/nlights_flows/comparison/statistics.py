@@ -56,7 +56,7 @@ class Sample:
 
 @dataclass(frozen=True)
 class Difference:
-    """How much larger one variant's quantity is than another's.
+    """Difference of one variant's quantity from another's.
 
     Attributes
     ----------
@@ -77,7 +77,7 @@ class Difference:
 
 @dataclass(frozen=True)
 class Analysis:
-    """What a sample says.
+    """Statistics of a sample.
 
     Attributes
     ----------
@@ -236,7 +236,7 @@ def neighbour_correlation(field: Array) -> float:
 
 
 def _widening(places: float) -> float:
-    """What few places cost a standard deviation that was estimated from them."""
+    """Factor by which few places widen a standard deviation that was estimated from them."""
     return float(np.sqrt(places / (places - 1)))
 
 

@@ -61,7 +61,7 @@ def chart(trend: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def newly_outside(trend: Mapping[str, Any], night: str) -> bool:
-    """Whether a capture of a night is outside the limits; what was told before need not alarm again."""
+    """Test whether a capture of a night is outside the limits; what was told before need not alarm again."""
     return any(point["outside"] and point["night"] == night for point in trend["points"])
 
 

@@ -67,7 +67,7 @@ class Claims:
         self._give_back(self.folder / artwork / tile)
 
     def taken(self, artwork: str, tile: str) -> bool:
-        """Whether somebody else is at a tile.  A stale claim is cleared away."""
+        """Test whether somebody else is at a tile.  A stale claim is cleared away."""
         path = self.folder / artwork / tile
         try:
             claimed = path.stat()
@@ -81,7 +81,7 @@ class Claims:
         return not self._clear(path, claimed)
 
     def holder(self, artwork: str, tile: str) -> str:
-        """Who is at a tile, for people."""
+        """Name who is at a tile, for people."""
         try:
             claim = json.loads((self.folder / artwork / tile).read_text(encoding="utf-8"))
             return f"process {claim['process']} on {claim['machine']}"

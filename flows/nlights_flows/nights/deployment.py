@@ -1,4 +1,4 @@
-"""Where a house keeps its captures and products: read from the environment when deployments are made."""
+"""Folders of a house's captures and products: read from the environment when deployments are made."""
 
 import os
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What a tile will take: seconds, by what earlier tiles took, and bytes on the disks."""
+"""Estimates of what a tile will take: seconds, by what earlier tiles took, and bytes on the disks."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def learnt(timed: Sequence[tuple[float, float]]) -> Estimate:
 
 @dataclass(frozen=True)
 class Deadline:
-    """When a night must be over; it is counted by a clock that nobody sets.
+    """Time when a night must be over; it is counted by a clock that nobody sets.
 
     Attributes
     ----------

@@ -131,7 +131,7 @@ def check(
 def _faults(
     shape: Mapping[str, float], since: Mapping[str, Mapping[str, float]], limits: Mapping[str, float]
 ) -> list[str]:
-    """What is beyond its limit; not a number is not a pass."""
+    """List what is beyond its limit; not a number is not a pass."""
     faults = [
         f"{words} {shape[name]:.3g} {unit}, at most {limits[name]:g} {unit} are allowed"
         for name, words, unit in (
@@ -163,7 +163,7 @@ def _sentence(tile: Tile, shape: Mapping[str, float], faults: list[str]) -> str:
 
 
 def flatness(height: Array, normals: Array) -> dict[str, float]:
-    """How flat a measured surface is.
+    """Flatness of a measured surface.
 
     Parameters
     ----------
@@ -210,7 +210,7 @@ def flatness(height: Array, normals: Array) -> dict[str, float]:
 
 
 def levels(photographs: Mapping[str, Path], tile: Tile) -> dict[str, float]:
-    """How bright each lamp's photograph is: the median as a share of saturation, the dark subtracted."""
+    """Brightness of each lamp's photograph: the median as a share of saturation, the dark subtracted."""
     dark = _level(tile.dark, tile) if tile.dark else 0.0
     return {lamp: _level(path, tile) - dark for lamp, path in photographs.items()}
 

@@ -72,7 +72,7 @@ class PassedBy:
 
 @dataclass
 class Inbox:
-    """What a scan found."""
+    """Result of a scan."""
 
     ready: list[Candidate] = field(default_factory=list)
     passed_by: list[PassedBy] = field(default_factory=list)
@@ -202,7 +202,7 @@ def _require_free_name(artwork: str, manifest: Path, found: Inbox) -> None:
 
 
 def _upload(folder: Path, settle: float, tiles: Iterable[Tile]) -> tuple[float, str]:
-    """When an upload was finished, and why it is not, where it is not."""
+    """Time when an upload was finished, and why it is not, where it is not."""
     try:
         marker = (folder / MARKER).stat().st_mtime
         return marker, ""
@@ -225,7 +225,7 @@ def _upload(folder: Path, settle: float, tiles: Iterable[Tile]) -> tuple[float, 
 
 
 def _changes(folder: Path, others: Iterable[Path]) -> Iterator[tuple[float, Path]]:
-    """When the files of a folder, and some others, were last changed or put there."""
+    """Times when the files of a folder, and some others, were last changed or put there."""
     places = [folder]
     for place, folders, files in os.walk(folder):
         places += [Path(place) / name for name in (*folders, *files)]

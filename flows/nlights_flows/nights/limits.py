@@ -27,7 +27,7 @@ VERDICTS: tuple[Verdict, ...] = ("ok", "warn", "fail")
 
 
 class Limit(Record):
-    """What one quality number may be; too large or, where ``fail`` is below ``warn``, too small."""
+    """Limit of one quality number; too large or, where ``fail`` is below ``warn``, too small."""
 
     name: str = Field(description="of the number, as the report has it; of numbers per lamp without the lamp")
     unit: str = Field(description="of the number; both limits are in it")
@@ -48,15 +48,15 @@ class Limit(Record):
 
     @property
     def smallest(self) -> bool:
-        """Whether the number must not be too small."""
+        """Test whether the number must not be too small."""
         return bool(self.at_least) if self.fail is None else self.fail < self.warn
 
     def covers(self, name: str) -> bool:
-        """Whether a number of a tile is meant: the name alone, or with a lamp's."""
+        """Test whether a number of a tile is meant: the name alone, or with a lamp's."""
         return name == self.name or name.startswith((f"{self.name}, ", f"{self.name} ("))
 
     def verdict(self, value: float) -> Verdict:
-        """What a value is."""
+        """Verdict of a value."""
         sign = -1 if self.smallest else 1
         if self.fail is not None and sign * value > sign * self.fail:
             return "fail"

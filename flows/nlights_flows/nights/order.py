@@ -1,4 +1,4 @@
-"""What a night is asked for, checked before anything is written."""
+"""Order of a night, checked before anything is written."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from nlights_flows.tiles.running import Around
 
 @dataclass(frozen=True)
 class Order:
-    """What a night is asked for; docs/nights.md explains every field.
+    """Order of a night; docs/nights.md explains every field.
 
     Attributes
     ----------
@@ -50,12 +50,12 @@ class Checked:
 
     @property
     def options(self) -> RunOptions:
-        """How its tiles are run."""
+        """Options of how its tiles are run."""
         return self.order.options
 
     @property
     def store(self) -> Store:
-        """Where its artefacts are."""
+        """Folder of its artefacts."""
         return self.options.artefacts
 
 

@@ -131,7 +131,7 @@ def beyond(artworks: Sequence[Mapping[str, Any]]) -> list[tuple[str, str, str, d
 
 
 def mood(data: Mapping[str, Any]) -> str:
-    """How the night went, as the colour of its heading: "bad", "open" or "good"."""
+    """Mood of the night, as the colour of its heading: "bad", "open" or "good"."""
     states = {artwork["state"] for artwork in data["artworks"]}
     verdicts = {tile["verdict"] for artwork in data["artworks"] for tile in artwork["tiles"]}
     if "failed" in states or "fail" in verdicts:

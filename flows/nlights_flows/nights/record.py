@@ -31,7 +31,7 @@ NOT_REACHED = "not reached yet"
 
 @dataclass
 class TileEntry:
-    """What became of a tile.
+    """Outcome of a tile.
 
     Attributes
     ----------
@@ -67,7 +67,7 @@ class TileEntry:
 
 @dataclass
 class ArtworkEntry:
-    """What became of an artwork, or of a folder of the inbox.
+    """Outcome of an artwork, or of a folder of the inbox.
 
     Attributes
     ----------
@@ -127,7 +127,7 @@ class NightRecord:
         return (tile for artwork in self.artworks for tile in artwork.tiles)
 
     def as_json(self) -> dict[str, Any]:
-        """What ``night.json`` holds."""
+        """Contents of ``night.json``."""
         return {"schema": SCHEMA, "nlights": __version__, "verdict": verdict(self), **asdict(self)}
 
 

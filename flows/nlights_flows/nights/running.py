@@ -264,7 +264,7 @@ class Night:
             self.claims.give_back(tile.artwork, tile.name)
 
     def _in_time(self, one: TileEntry) -> bool:
-        """Whether a tile would end in time; says so in its entry where not."""
+        """Test whether a tile would end in time; say so in its entry where not."""
         needed, left = self._estimate.seconds(one.megapixels or 0), self.night.deadline.left
         if needed <= left:
             return True
@@ -277,7 +277,7 @@ class Night:
         return False
 
     def _busy(self, tile: Tile) -> bool:
-        """Whether another night is at a tile; says so in its entry."""
+        """Test whether another night is at a tile; say so in its entry."""
         if not self.claims.taken(tile.artwork, tile.name):
             return False
         one = self._tiles[tile.artwork, tile.name]

@@ -28,7 +28,7 @@ NARROWEST = 0.002
 
 
 def measured(products: Path) -> dict[str, Any] | None:
-    """What the trends follow of a tile: its stand, its flat set and its numbers.
+    """Values of a tile that the trends follow: its stand, its flat set and its numbers.
 
     Returns
     -------

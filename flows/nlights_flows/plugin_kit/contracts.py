@@ -40,7 +40,7 @@ ABSENT = {"spheres": "a chrome sphere of its own making", "lights": "a file of g
 
 @dataclass(frozen=True)
 class Verdict:
-    """What became of an algorithm's contract.
+    """Verdict on an algorithm's contract.
 
     Attributes
     ----------
@@ -150,7 +150,7 @@ def _checked(algorithm: Algorithm) -> Iterator[tuple[str, str | None]]:
 
 
 def _broken(check: Callable[[], None]) -> str:
-    """How a rule is broken; empty where it is kept."""
+    """Fault of a broken rule; empty where it is kept."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:

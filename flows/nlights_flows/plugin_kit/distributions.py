@@ -76,7 +76,7 @@ def begin(name: str, kind: str, out: Path) -> Path:
 
 
 def _words(name: str, kind: str) -> dict[str, str]:
-    """What the templates say, once it is known that nothing is called so yet."""
+    """Words of the templates, once it is known that nothing is called so yet."""
     if not NAME.fullmatch(name) or len(name) > 60:
         raise PluginError(
             f"'{name}' is no name of an algorithm; use lower-case words with hyphens between them, as "

@@ -66,13 +66,13 @@ def recipe_record(recipe: Recipe) -> dict[str, Any]:
 
 
 def steps(recipe: Recipe) -> int:
-    """How many stages the chain calls for a tile, for a progress bar."""
+    """Number of stages that the chain calls for a tile, for a progress bar."""
     detrend = recipe.detrend
     optional = (detrend.images, detrend.normals, detrend.height)
     return 6 + sum(part is not None for part in optional) + (recipe.passes > 1) + _levels(recipe)
 
 
 def _levels(recipe: Recipe) -> bool:
-    """Whether the height's constant matters and can be found: a second pass, and a photographed flat."""
+    """Test whether the height's constant matters and can be found: a second pass, and a photographed flat."""
     images = recipe.detrend.images
     return recipe.passes > 1 and images is not None and "flats" in images.needs

@@ -19,7 +19,7 @@ from nlights_flows.tiles.running import require_memory
 
 @dataclass
 class Finding:
-    """What a check found out about a tile.
+    """Findings of a check about a tile.
 
     Attributes
     ----------

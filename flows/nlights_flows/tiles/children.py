@@ -69,20 +69,20 @@ class Child:
             self._clock.cancel()
 
     def words(self) -> Iterator[dict[str, Any]]:
-        """What it says, until it ends."""
+        """Messages of the child, until it ends."""
         assert self._process.stdout is not None
         for line in self._process.stdout:
             yield json.loads(line)
 
     def frames(self) -> list[dict[str, str]]:
-        """Where it was, innermost first: "file", "line" and "function" of each frame of each thread."""
+        """Frames in which it was, innermost first: "file", "line" and "function" of each frame of each thread."""
         if not self._trace.exists():
             return []
         seen = self._trace.read_text(encoding="utf-8", errors="replace")
         return [match.groupdict() for match in FRAME.finditer(seen)]
 
     def ending(self, place: str, remedy: str) -> str:
-        """How it ended without its last word, and what to do: what a sentence says after its subject."""
+        """Clause on how it ended without its last word, and what to do: what a sentence says after its subject."""
         code = self._process.returncode
         if self._stopped.is_set():
             return f"was stopped after {self._timeout:g} s{place}; allow more with --timeout, {remedy}"

@@ -1,4 +1,4 @@
-"""What the command line shows: progress bars and tables."""
+"""Output of the command line: progress bars and tables."""
 
 from __future__ import annotations
 
@@ -136,7 +136,7 @@ def show_outcomes(outcomes: Sequence[Outcome]) -> None:
 
 
 def warnings_of(outcome: Outcome) -> list[str]:
-    """What the quality numbers of a tile warn of, as sentences."""
+    """Warnings of the quality numbers of a tile, as sentences."""
     path = outcome.folder / "quality.json" if outcome.folder else None
     if path is None or not path.is_file():
         return []

@@ -138,7 +138,7 @@ def _client(address: str) -> Iterator[Client]:
 
 
 def workers(address: str) -> int:
-    """How many workers a scheduler has now."""
+    """Number of workers that a scheduler has now."""
     with _client(address) as client:
         return _count(client)
 
@@ -204,7 +204,7 @@ def run_everywhere(tiles: Iterable[Tile], recipe: Recipe, options: RunOptions) -
 
 @lru_cache(maxsize=8)
 def _places(address: str, count: int) -> threading.Semaphore:
-    """As many places as a scheduler has workers, shared by all artworks that this process runs at once."""
+    """Semaphore with a place per worker of a scheduler, shared by all artworks that this process runs at once."""
     return threading.Semaphore(count)
 
 
@@ -214,7 +214,7 @@ Send = Callable[[dict[str, Any]], dict[str, Any]]
 
 @contextmanager
 def _sender(client: Client, address: str, task: Any) -> Iterator[Send]:
-    """How a job is sent: to Dask directly, or as a Prefect task through Dask."""
+    """Sender of jobs: to Dask directly, or as a Prefect task through Dask."""
     if task is None:
         yield lambda job: client.submit(run_job, job, key=_name(job), pure=False).result()
         return
@@ -234,7 +234,7 @@ def _sender(client: Client, address: str, task: Any) -> Iterator[Send]:
 
 
 def _name(job: dict[str, Any]) -> str:
-    """What Dask's own pages call a tile; never twice the same, since nothing is to be taken from its memory."""
+    """Name of a tile on Dask's own pages; never twice the same, since nothing is to be taken from its memory."""
     return f"{job['tile']['artwork']}/{job['tile']['name']}-{uuid.uuid4().hex[:8]}"
 
 
@@ -287,7 +287,7 @@ def run_job(job: dict[str, Any]) -> dict[str, Any]:
 
 
 def _memory(options: RunOptions) -> int | None:
-    """What a worker's tile may take: what was asked for, but no more than the worker itself was allowed."""
+    """Memory that a worker's tile may take: what was asked for, but no more than the worker itself was allowed."""
     asked = options.memory_bytes()
     return min(asked, budget()) if asked and os.environ.get(VARIABLE) else asked
 
@@ -302,7 +302,7 @@ def _recipe(name: str, text: str, store: str) -> Recipe:
 
 
 def _code(recipe: Recipe) -> list[str]:
-    """What must be the same on all machines, lest they make artefacts of other names."""
+    """Digests of all that must be the same on all machines, lest they make artefacts of other names."""
     return [core_digest(), *(code_digest(type(algorithm)) for algorithm in recipe.algorithms())]
 
 

@@ -174,7 +174,7 @@ def _run_tiles_as_tasks(
 
 
 def ensure_as_task(options: RunOptions, place: str) -> Ensure:
-    """How to run stages as tasks; ``place`` begins the names of their runs."""
+    """Make a function that runs stages as tasks; ``place`` begins the names of their runs."""
     store = str(options.artefacts.root)
 
     def ensure(stage: Callable[..., Any], tile: Tile, *arguments: Any) -> tuple[ArtefactRef, bool]:
@@ -186,7 +186,7 @@ def ensure_as_task(options: RunOptions, place: str) -> Ensure:
 
 
 def _ended(told: Iterable[Outcome | None]) -> State[Any]:
-    """What a flow returns for what became of its tiles, which is logged as it becomes known."""
+    """Return value of a flow for the outcomes of its tiles, which are logged as they become known."""
     logger = _logger()
     outcomes, put_off = [], 0
     for outcome in told:
@@ -207,7 +207,7 @@ def _ended(told: Iterable[Outcome | None]) -> State[Any]:
 
 
 def _told_around() -> Around:
-    """What `each_tile_through` set; apart, since a flow travels to Dask's workers and a ContextVar cannot."""
+    """Setting of `each_tile_through`; apart, since a flow travels to Dask's workers and a ContextVar cannot."""
     return _around.get()
 
 

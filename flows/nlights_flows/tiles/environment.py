@@ -1,4 +1,4 @@
-"""What Prefect must find in the environment before it is imported, and whether an API is configured."""
+"""Settings that Prefect must find in the environment before it is imported, and whether an API is configured."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def prepare() -> None:
 
 
 def api_configured() -> bool:
-    """Whether a Prefect API is configured, by the environment or by the active profile.
+    """Test whether a Prefect API is configured, by the environment or by the active profile.
 
     Reads the profile itself: importing prefect to ask costs seconds.
     """

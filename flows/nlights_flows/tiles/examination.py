@@ -25,7 +25,7 @@ OPTIONAL = ("dask", "prefect-dask")
 
 
 def facts() -> list[tuple[str, str]]:
-    """What is found, as pairs of a name and a sentence or number with its unit."""
+    """Facts of this machine, as pairs of a name and a sentence or number with its unit."""
     return [
         ("nLights", __version__),
         ("Python", f"{platform.python_version()}, {sys.prefix}"),

@@ -87,18 +87,18 @@ def ensure(
 
 
 def needs_child(arguments: Sequence[Any], timeout: float | None) -> bool:
-    """Whether a stage that is called with these arguments and a time-out runs in a child."""
+    """Test whether a stage that is called with these arguments and a time-out runs in a child."""
     return timeout is not None or any(is_foreign(a) for a in arguments if isinstance(a, Algorithm))
 
 
 def is_foreign(algorithm: Algorithm) -> bool:
-    """Whether an installed plugin offers an algorithm that nLights does not ship."""
+    """Test whether an installed plugin offers an algorithm that nLights does not ship."""
     offer = installed().get(algorithm.slot, algorithm.name)
     return offer is not None and offer.algorithm is type(algorithm) and offer.distribution != "nlights"
 
 
 def _taken(answer: dict[str, Any]) -> bool:
-    """What a child answered, as if the stage had run here."""
+    """Take a child's answer, as if the stage had run here."""
     if "fault" in answer:
         raise TileError(answer["fault"])
     if "errno" in answer:
@@ -119,7 +119,7 @@ def _named(algorithms: Sequence[Algorithm]) -> str:
 
 
 def _suspect(algorithms: Sequence[Algorithm], child: children.Child) -> tuple[list[Algorithm], str]:
-    """Whose verb a child was in, and where; all who took part when that cannot be told."""
+    """Algorithm whose verb a child was in, and where; all that took part when that cannot be told."""
     frames = child.frames()
     for algorithm in algorithms:
         own = inspect.getsourcefile(type(algorithm))

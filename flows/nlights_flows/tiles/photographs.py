@@ -1,4 +1,4 @@
-"""Whether a tile's photographs stayed the same while it ran: an upload may replace one at any time."""
+"""Check that a tile's photographs stay the same while it runs: an upload may replace one at any time."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ THREADS = 4
 
 @dataclass(frozen=True)
 class Photographs:
-    """What a tile's photographs were when it was begun.
+    """Stamps of a tile's photographs, taken when it was begun.
 
     A stage names its work by the digests of the photographs and reads them afterwards; what is
     replaced in between would lie in the store under another photograph's name.
@@ -84,7 +84,7 @@ class Photographs:
                 raise changed
 
     def _changed(self) -> TileError | None:
-        """What to say of photographs that are not what they were; what was made meanwhile is gone then."""
+        """Message about photographs that are not what they were; what was made meanwhile is gone then."""
         changed = [path for path, seen in self.stamps.items() if not self._same(path, *seen)]
         if not changed:
             return None

@@ -19,7 +19,7 @@ RUNNERS = ("here", "dask")
 
 @dataclass(frozen=True, kw_only=True)
 class RunOptions:
-    """How tiles are run; the command line, the flows and Python have the same names and defaults.
+    """Options of how tiles are run; the command line, the flows and Python have the same names and defaults.
 
     Attributes
     ----------

@@ -25,7 +25,7 @@ from nlights_flows.tiles.run_options import RunOptions
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a tile.
+    """Outcome of a tile.
 
     Attributes
     ----------
@@ -120,7 +120,7 @@ def run_directly(tile: Tile, recipe: Recipe, options: RunOptions, watch: Watch) 
 
 
 def ensure_here(options: RunOptions, place: str, watch: Watch) -> Ensure:
-    """How to run stages by calling them.
+    """Make a function that runs stages by calling them.
 
     They run in this process, or each in a child where there is a time-out or a plugin of somebody
     else's: see `nlights_flows.tiles.isolation`.  ``place`` is what ``watch`` is told as the tile.

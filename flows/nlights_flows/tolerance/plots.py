@@ -1,4 +1,4 @@
-"""What a tolerance study looks like: table, verdict, CSV and the two-by-two plot of Figure 2."""
+"""Presentation of a tolerance study: table, verdict, CSV and the two-by-two plot of Figure 2."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ def table(study: Study) -> Iterator[str]:
 
 
 def verdict(study: Study) -> Iterator[str]:
-    """Up to which error the promise of 0.5 degrees and 1 mm is kept, a sentence each."""
+    """Errors up to which the promise of 0.5 degrees and 1 mm is kept, a sentence each."""
     questions: tuple[tuple[str, Value, Value], ...] = (
         ("in the mean", lambda m: m.angle.mean, lambda m: m.distance.mean),
         (

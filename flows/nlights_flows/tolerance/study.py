@@ -1,4 +1,4 @@
-"""How wrong a stand's measurement may be: the paper's study of tolerance (its Figure 2).
+"""Study of tolerance: how wrong a stand's measurement may be (the paper's Figure 2).
 
 Simulated photographs are solved with lamps that are not quite where, or not quite as strong as,
 they were when the photographs were taken; what comes out is compared with the known surface, and
@@ -50,7 +50,7 @@ class Spread:
 
 @dataclass(frozen=True)
 class Measurement:
-    """What one solution is worth.
+    """Errors of one solution.
 
     Attributes
     ----------
@@ -300,7 +300,7 @@ def _swept(
 
 
 def _sunk(tile: Tile, highest: float) -> str:
-    """Which lamp is believed to be not above the artwork, as a clause; empty when none is."""
+    """Clause that names a lamp believed to be not above the artwork; empty when none is."""
     assert tile.stand is not None
     heights = tile.stand.lamp_positions(tile.lamps)[:, 2]
     lowest = int(heights.argmin())
@@ -342,7 +342,7 @@ def _measurement(name: str, error: float, draw: int, found: _Deviations, right: 
 
 
 def worst(study: Study, recipe: str) -> list[Measurement]:
-    """Of every error, the worst of its draws in each figure.
+    """Worst draw of every error in each figure.
 
     Parameters
     ----------
