@@ -31,7 +31,7 @@ from nlights_core.photographs.headers import grid_of, survey
 from nlights_core.photographs.noise import read_noise
 from nlights_core.registry import installed
 from nlights_core.solving.agreement import AgreementMeter
-from nlights_core.solving.band_solving import SHADOW, solved
+from nlights_core.solving.band_solving import SHADOW, solve_band
 from nlights_core.solving.fused_solving import FusedSolver
 from nlights_core.solving.kernels import rule_of
 from nlights_core.stages.inputs import FLATS
@@ -76,7 +76,7 @@ def normals_rate(capture: Path, store: Path, name: str, rounds: int = 3) -> floa
             assert rule_of(solver), f"{name} has no kernel"
             fused = FusedSolver(room, solver, field, read_flat_field(flat_field), height, SHADOW, 1.0)
             started = time.monotonic()
-            deque(fused.strips(AgreementMeter(room.grid, partial(solved, solver))), 0)
+            deque(fused.strips(AgreementMeter(room.grid, partial(solve_band, solver))), 0)
             found.append(shape[0] * shape[1] / 1e6 / (time.monotonic() - started))
     return statistics.median(found[1:])
 

@@ -24,7 +24,7 @@ from nlights_core.photographs.block_means import block_means
 from nlights_core.photographs.development import BAND_BYTES, Darkroom, Raw, bands
 from nlights_core.photographs.flat_fields import FlatField
 from nlights_core.photographs.noise import Noise
-from nlights_core.solving.band_solving import solved
+from nlights_core.solving.band_solving import solve_band
 from nlights_core.solving.kernels import TASK, robust_solution
 from nlights_core.solving.least_squares import UsableLights
 
@@ -120,7 +120,7 @@ def overview(
     room : ReducedRoom
         The photographs.
     lights, flat_field : LightField, FlatField or None
-        As for `nlights_core.solving.band_solving.solve`.
+        As for `nlights_core.solving.band_solving.solve_tile`.
     passes : int
         How often.
     levels : bool
@@ -164,7 +164,7 @@ def _normals(
     def of_rows(rows: tuple[int, int]) -> Array:
         raw = room.raw(*rows, lights)
         below = None if height is None else height[slice(*rows)]
-        return solved(_Solver(), room.develop(raw, lights, flat_field, below)).normals
+        return solve_band(_Solver(), room.develop(raw, lights, flat_field, below)).normals
 
     # Each core takes as much as a kernel works on at once.
     return np.concatenate(list(in_order(of_rows, bands(room.grid, BAND_BYTES // TASK))))

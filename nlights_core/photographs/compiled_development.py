@@ -348,7 +348,7 @@ def _weigh(
 ) -> None:
     """Turn variances into weights that know the readout too; count shadows; leave out what is not lit.
 
-    What is left out has value and weights 0, as `nlights_core.solving.compiled_solutions.usable` leaves it.
+    What is left out has value and weights 0, as `nlights_core.solving.compiled_solutions.mark_usable` leaves it.
     """
     for p in range(BLOCK):
         of[_RIGHT + p], of[_DOWN + p], of[_CELL + p] = ZERO, ZERO, ZERO

@@ -43,7 +43,7 @@ AMBIENT_ROUNDS = 4
 reached to 1e-4 in four rounds for an ambient share of 10 %."""
 
 
-def solve(
+def solve_tile(
     room: Darkroom,
     solver: NormalSolver,
     lights: LightField,
@@ -89,7 +89,7 @@ def solve(
         "saturated": (shape, np.uint8),
         "shadow": (shape, np.uint8),
     }
-    meter = AgreementMeter(room.grid, partial(solved, solver))
+    meter = AgreementMeter(room.grid, partial(solve_band, solver))
     if available() and flat_field is not None and not lights.ambient.any():
         from nlights_core.solving.fused_solving import FusedSolver
 
@@ -138,7 +138,7 @@ def _by_bands(
     """Solve where there is no flat field, or ambient light; and without compiled loops."""
 
     def imaged(band: Band) -> Images:
-        found = solved(solver, band)
+        found = solve_band(solver, band)
         shading = _shading(found, band)
         albedo = np.float32(scale) * coloured_albedo(band.images, shading, found.weights)
         return Images(
@@ -157,7 +157,7 @@ def _by_bands(
         yield band.start, band.stop, images
 
 
-def solved(solver: NormalSolver, band: Band) -> Solution:
+def solve_band(solver: NormalSolver, band: Band) -> Solution:
     """Solve a band; where there is ambient light, subtract its share and solve again."""
     images = band.grey
     found = verbs.solve(solver, images, band.lights, band.weights)

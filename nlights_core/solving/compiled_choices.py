@@ -18,13 +18,13 @@ from nlights_core.solving.compiled_fits import (
     DETERMINANT,
     Work,
     count_usable,
-    inverted,
-    leverage,
-    missed_by,
+    invert_normal_matrices,
+    leverage_of,
     normal_equations,
-    refined,
-    solved_exactly,
-    surely_determined,
+    refine_fits,
+    residual_of,
+    solve_exactly,
+    sure_determinant,
 )
 from nlights_core.solving.compiled_medians import take_medians
 from nlights_core.solving.compiled_reweighting import reweigh_blocks
@@ -38,8 +38,8 @@ def _fit_least_squares(work: Work, limits: Limits) -> None:
     samples, fits = work.samples, work.fits
     for block in range(len(samples)):
         normal_equations(samples[block], fits[block])
-        inverted(fits[block])
-        refined(samples[block], fits[block])
+        invert_normal_matrices(fits[block])
+        refine_fits(samples[block], fits[block])
 
 
 @inner
@@ -47,7 +47,7 @@ def _fit_robustly(work: Work, limits: Limits) -> None:
     samples, fits = work.samples, work.fits
     reweigh_blocks(work)
     for block in range(len(samples)):
-        refined(samples[block], fits[block])
+        refine_fits(samples[block], fits[block])
 
 
 @inner
@@ -55,9 +55,9 @@ def _fit_progressively(work: Work, limits: Limits) -> None:
     samples, fits = work.samples, work.fits
     for block in range(len(samples)):
         normal_equations(samples[block], fits[block])
-        inverted(fits[block])
+        invert_normal_matrices(fits[block])
         _discard(samples[block], fits[block], work.rows, limits.keep, limits.condition)
-        refined(samples[block], fits[block])
+        refine_fits(samples[block], fits[block])
 
 
 @inner
@@ -66,8 +66,8 @@ def _fit_trimmed(work: Work, limits: Limits) -> None:
     for block in range(len(samples)):
         _trim(samples[block], work.rows, limits.darkest, limits.brightest)
         normal_equations(samples[block], fits[block])
-        inverted(fits[block])
-        refined(samples[block], fits[block])
+        invert_normal_matrices(fits[block])
+        refine_fits(samples[block], fits[block])
 
 
 @inner
@@ -75,14 +75,14 @@ def _fit_medians(work: Work, limits: Limits) -> None:
     samples, fits = work.samples, work.fits
     for block in range(len(samples)):
         normal_equations(samples[block], fits[block])
-        inverted(fits[block])
-        refined(samples[block], fits[block])
+        invert_normal_matrices(fits[block])
+        refine_fits(samples[block], fits[block])
         take_medians(samples[block], fits[block], work, limits.condition)
 
 
 @inner
 def _trim(samples: Array, rows: Array, darkest: float, brightest: float) -> None:
-    """Trial weights without the darkest and the brightest; see `nlights_core.solving.robust_fitting.rank_trimmed`.
+    """Trial weights without the darkest and the brightest; see `nlights_core.solving.robust_fitting.trim_by_rank`.
 
     A sample is at least as bright as the one of a rank if more samples than that are no brighter.
     """
@@ -115,13 +115,13 @@ def _discard(samples: Array, fit: Array, rows: Array, keep: int, condition: floa
     cannot always tell; such pixels are begun anew in double precision.
     """
     counts, worst, unsure, largest = rows[0], rows[1], rows[2], rows[3]
-    sure = surely_determined(condition)
+    sure = sure_determinant(condition)
     count_usable(samples, counts)
     for p in range(BLOCK):
         unsure[p] = ZERO if fit[DETERMINANT + p] > sure else counts[p]
     for _ in range(len(samples) - keep):
         # Which of two alike is worse, the last digits tell.
-        refined(samples, fit)
+        refine_fits(samples, fit)
         _find_worst(samples, fit, largest, worst)
         for p in range(BLOCK):
             worst[p] = worst[p] if counts[p] > keep else -ONE
@@ -130,7 +130,7 @@ def _discard(samples: Array, fit: Array, rows: Array, keep: int, condition: floa
                 of = samples[i]
                 of[TRIAL + p] = ZERO if worst[p] == i else of[TRIAL + p]
         normal_equations(samples, fit)
-        inverted(fit)
+        invert_normal_matrices(fit)
         for p in range(BLOCK):
             unsure[p] = unsure[p] if fit[DETERMINANT + p] > sure else counts[p]
             counts[p] -= ONE if counts[p] > keep else ZERO
@@ -140,9 +140,9 @@ def _discard(samples: Array, fit: Array, rows: Array, keep: int, condition: floa
 
 
 @numba.njit(inline="always")
-def _alone(of: Array, fit: Array, p: int) -> Any:
+def _deleted_residual(of: Array, fit: Array, p: int) -> Any:
     """Square of what a sample misses, by its weight, when the others predict it."""
-    missed = missed_by(of, fit, p) / max(ONE - of[TRIAL + p] * leverage(of, fit, p), _LEAST_REST)
+    missed = residual_of(of, fit, p) / max(ONE - of[TRIAL + p] * leverage_of(of, fit, p), _LEAST_REST)
     return of[TRIAL + p] * missed * missed
 
 
@@ -154,7 +154,7 @@ def _find_worst(samples: Array, fit: Array, largest: Array, worst: Array) -> Non
     for i in range(len(samples)):
         of, which = samples[i], np.float32(i)
         for p in range(BLOCK):
-            alone = _alone(of, fit, p)
+            alone = _deleted_residual(of, fit, p)
             larger = (of[TRIAL + p] > ZERO) & (alone > largest[p])
             worst[p] = which if larger else worst[p]
             largest[p] = alone if larger else largest[p]
@@ -169,16 +169,16 @@ def _discard_exactly(samples: Array, fit: Array, p: int, keep: int, condition: f
         count += 1 if samples[i, USABLE + p] > ZERO else 0
     # Nothing is sure of it, so it is solved exactly in the end too.
     fit[DETERMINANT + p] = ZERO
-    known = solved_exactly(samples, fit, p, TRIAL, condition)
+    known = solve_exactly(samples, fit, p, TRIAL, condition)
     while count > keep:
         worst, largest = 0, -ONE
         for i in range(len(samples) if known else 0):
-            alone = _alone(samples[i], fit, p)
+            alone = _deleted_residual(samples[i], fit, p)
             if samples[i, TRIAL + p] > ZERO and alone > largest:
                 worst, largest = i, alone
         weight = samples[worst, TRIAL + p]
         samples[worst, TRIAL + p] = ZERO
-        known = solved_exactly(samples, fit, p, TRIAL, condition)
+        known = solve_exactly(samples, fit, p, TRIAL, condition)
         if not known:
             samples[worst, TRIAL + p] = weight
             return

@@ -69,7 +69,7 @@ def deliver(blocks: Blocks, found: Array, first: int, white: np.float32, images:
 
 
 @kernel
-def take(
+def take_solution(
     samples: Array, normals: Array, albedo: Array, confidence: Array, weights: Array, found: Array
 ) -> None:
     """Put what a solver of plain arrays found into blocks, as `deliver` wants it.

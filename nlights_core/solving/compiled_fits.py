@@ -106,7 +106,7 @@ def add_sample(of: Array, fit: Array, p: int) -> None:
 
 
 @inner
-def inverted(fit: Array) -> None:
+def invert_normal_matrices(fit: Array) -> None:
     """Put the inverse in the place of `MATRIX`, and `SCALED` = inverse times `RIGHT`.
 
     The matrix is first scaled to a trace of 1, so that weights in any unit neither overflow nor
@@ -126,11 +126,11 @@ def inverted(fit: Array) -> None:
         fit[MATRIX + 2 * BLOCK + p], fit[MATRIX + 3 * BLOCK + p] = ixz * scale, iyy * scale
         fit[MATRIX + 4 * BLOCK + p], fit[MATRIX + 5 * BLOCK + p] = iyz * scale, izz * scale
         fit[SCALED + p], fit[SCALED + BLOCK + p], fit[SCALED + 2 * BLOCK + p] = ZERO, ZERO, ZERO
-    corrected(fit)
+    add_correction(fit)
 
 
 @inner
-def corrected(fit: Array) -> None:
+def add_correction(fit: Array) -> None:
     """Add inverse times `RIGHT` to `SCALED`."""
     for p in range(BLOCK):
         xx, xy, xz = fit[MATRIX + p], fit[MATRIX + BLOCK + p], fit[MATRIX + 2 * BLOCK + p]
@@ -142,7 +142,7 @@ def corrected(fit: Array) -> None:
 
 
 @inner
-def surely_determined(condition: float) -> Any:
+def sure_determinant(condition: float) -> Any:
     """Determinant of a normal matrix of trace 1 above which it is conditioned well enough."""
     # Of eigenvalues that sum up to 1 no two have a product above 1/4: so the smallest is at least four
     # times the determinant, and the largest at most 1.
@@ -150,14 +150,14 @@ def surely_determined(condition: float) -> Any:
 
 
 @numba.njit(inline="always")
-def missed_by(of: Array, fit: Array, p: int) -> Any:
+def residual_of(of: Array, fit: Array, p: int) -> Any:
     """Residual of a sample from a fit."""
     shown = of[X + p] * fit[SCALED + p] + of[Y + p] * fit[SCALED + BLOCK + p]
     return of[VALUE + p] - (shown + of[Z + p] * fit[SCALED + 2 * BLOCK + p])
 
 
 @numba.njit(inline="always")
-def leverage(of: Array, fit: Array, p: int) -> Any:
+def leverage_of(of: Array, fit: Array, p: int) -> Any:
     """Leverage of a sample of weight 1: how strongly it would determine its own prediction, by a fit's inverse."""
     x, y, z = of[X + p], of[Y + p], of[Z + p]
     xx, xy, xz = fit[MATRIX + p], fit[MATRIX + BLOCK + p], fit[MATRIX + 2 * BLOCK + p]
@@ -167,22 +167,22 @@ def leverage(of: Array, fit: Array, p: int) -> Any:
 
 
 @inner
-def refined(samples: Array, fit: Array) -> None:
+def refine_fits(samples: Array, fit: Array) -> None:
     """One step of iterative refinement: single precision becomes as good as double would be."""
     for k in range(RIGHT, DETERMINANT):
         fit[k] = ZERO
     for i in range(len(samples)):
         of = samples[i]
         for p in range(BLOCK):
-            missed = of[TRIAL + p] * missed_by(of, fit, p)
+            missed = of[TRIAL + p] * residual_of(of, fit, p)
             fit[RIGHT + p] += missed * of[X + p]
             fit[RIGHT + BLOCK + p] += missed * of[Y + p]
             fit[RIGHT + 2 * BLOCK + p] += missed * of[Z + p]
-    corrected(fit)
+    add_correction(fit)
 
 
 @inner
-def solved_exactly(samples: Array, fit: Array, p: int, which: int, condition: float) -> bool:
+def solve_exactly(samples: Array, fit: Array, p: int, which: int, condition: float) -> bool:
     """Solve one pixel in double precision with the weights that begin at ``which``.
 
     False, and nothing is changed, where it cannot be known: of fewer than three samples, or badly spread ones.
@@ -206,7 +206,7 @@ def solved_exactly(samples: Array, fit: Array, p: int, which: int, condition: fl
     ixx, ixy, ixz = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
     iyy, iyz, izz = xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy
     determinant = xx * ixx + xy * ixy + xz * ixz
-    if count < 3 or not determinant > 0 or not _well(xx, xy, xz, yy, yz, zz, condition):
+    if count < 3 or not determinant > 0 or not _is_well_conditioned(xx, xy, xz, yy, yz, zz, condition):
         return False
     inverse = (ixx / determinant, ixy / determinant, ixz / determinant)
     lower = (iyy / determinant, iyz / determinant, izz / determinant)
@@ -220,7 +220,9 @@ def solved_exactly(samples: Array, fit: Array, p: int, which: int, condition: fl
 
 
 @inner
-def _well(xx: float, xy: float, xz: float, yy: float, yz: float, zz: float, condition: float) -> Any:
+def _is_well_conditioned(
+    xx: float, xy: float, xz: float, yy: float, yz: float, zz: float, condition: float
+) -> Any:
     """Test whether a matrix is conditioned well enough: `least_squares.eigenvalues`, of one matrix."""
     mean = (xx + yy + zz) / 3
     a, b, c = xx - mean, yy - mean, zz - mean

@@ -9,7 +9,7 @@ import numpy as np
 
 from nlights_core.frames import Array
 from nlights_core.photographs.blocks import BLOCK, ONE, TRIAL, USABLE, VALUE, ZERO, X, Y, Z, inner
-from nlights_core.solving.compiled_fits import DETERMINANT, SCALED, Work, solved_exactly, surely_determined
+from nlights_core.solving.compiled_fits import DETERMINANT, SCALED, Work, solve_exactly, sure_determinant
 
 _SIGN, _OTHERS = np.int32(-(2**31)), np.int32(2**31 - 1)
 _HALF = np.float32(0.5)
@@ -28,12 +28,12 @@ def take_medians(samples: Array, fit: Array, work: Work, condition: float) -> No
     condition : float
         As for `nlights_core.solving.least_squares.fit`.
     """
-    _ask(samples, work.triplets, work.said)
-    sure = surely_determined(condition)
+    _solve_triplets(samples, work.triplets, work.said)
+    sure = sure_determinant(condition)
     for p in range(BLOCK):
         if not fit[DETERMINANT + p] > sure:
             # Whoever looks at it later need not solve it again.
-            fit[DETERMINANT + p] = ONE if solved_exactly(samples, fit, p, TRIAL, condition) else -ONE
+            fit[DETERMINANT + p] = ONE if solve_exactly(samples, fit, p, TRIAL, condition) else -ONE
     total, below, found = work.rows[0], work.rows[1], work.rows[2]
     for p in range(BLOCK):
         total[p] = ZERO
@@ -48,7 +48,7 @@ def take_medians(samples: Array, fit: Array, work: Work, condition: float) -> No
 
 
 @inner
-def _ask(samples: Array, triplets: Array, said: Array) -> None:
+def _solve_triplets(samples: Array, triplets: Array, said: Array) -> None:
     """Albedo times normal that each triplet says, and its share."""
     for t in range(len(triplets)):
         a, b, c = samples[triplets[t, 0]], samples[triplets[t, 1]], samples[triplets[t, 2]]

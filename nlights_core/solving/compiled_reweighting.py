@@ -21,10 +21,10 @@ from nlights_core.solving.compiled_fits import (
     Work,
     add_sample,
     count_usable,
-    inverted,
-    leverage,
-    missed_by,
+    invert_normal_matrices,
+    leverage_of,
     normal_equations,
+    residual_of,
 )
 from nlights_core.solving.robust_fitting import (
     ABSOLUTE_ROUNDS,
@@ -50,7 +50,7 @@ def _albedo_squared(fit: Array, p: int) -> Any:
 
 
 @inner
-def doubtful(samples: Array, fit: Array, worst: Array, counts: Array, chosen: Array) -> int:
+def find_doubtful(samples: Array, fit: Array, worst: Array, counts: Array, chosen: Array) -> int:
     """Find the pixels in which least squares are contradicted by a sample.
 
     Parameters
@@ -76,7 +76,7 @@ def doubtful(samples: Array, fit: Array, worst: Array, counts: Array, chosen: Ar
             squared = _albedo_squared(fit, p)
             weight = of[USABLE + p]
             variance = _photon_variance(squared) + weight * _MODEL_VARIANCE * squared
-            missed = missed_by(of, fit, p)
+            missed = residual_of(of, fit, p)
             surprise = missed * missed * weight / variance
             worst[p] = surprise if surprise > worst[p] else worst[p]
             counts[p] += ONE if weight > ZERO else ZERO
@@ -95,8 +95,8 @@ def _photon_variance(squared: Any) -> Any:
 
 
 @inner
-def biweighted(samples: Array, fit: Array, noise: Array, rows: Array, quantiles: Array) -> None:
-    """Trial weights by Tukey's biweight about the L1 fit; see `robust_fitting.reweighted`.
+def reweigh_by_biweight(samples: Array, fit: Array, noise: Array, rows: Array, quantiles: Array) -> None:
+    """Trial weights by Tukey's biweight about the L1 fit; see `robust_fitting.reweigh`.
 
     Parameters
     ----------
@@ -114,30 +114,30 @@ def biweighted(samples: Array, fit: Array, noise: Array, rows: Array, quantiles:
     scale, other_scale, start = rows[0], rows[1], rows[2:5]
     for k in range(3):
         copy(fit[SCALED + k * BLOCK : SCALED + (k + 1) * BLOCK], start[k])
-    _expected(samples, fit, precision)
+    _compute_precision(samples, fit, precision)
     for _ in range(ABSOLUTE_ROUNDS):
         _least_absolute_step(samples, fit, precision)
-        inverted(fit)
-    _surprises(samples, fit, precision, missed)
-    _scales(samples, missed, quantiles, scale, rows[7:])
+        invert_normal_matrices(fit)
+    _standardise_residuals(samples, fit, precision, missed)
+    _estimate_scales(samples, missed, quantiles, scale, rows[7:])
     if len(samples) <= FEW:
-        _without_worst(samples, fit, precision, start, rows[5], rows[6])
-        _surprises(samples, fit, precision, other)
-        _scales(samples, other, quantiles, other_scale, rows[7:])
+        _fit_without_worst(samples, fit, precision, start, rows[5], rows[6])
+        _standardise_residuals(samples, fit, precision, other)
+        _estimate_scales(samples, other, quantiles, other_scale, rows[7:])
         _keep_better(missed, other, scale, other_scale)
     for p in range(BLOCK):
         scale[p] = ONE / (_TUKEY * max(scale[p], ONE))
     _biweigh(samples, missed, scale)
     for _ in range(BIWEIGHT_ROUNDS - 1):
         normal_equations(samples, fit)
-        inverted(fit)
-        _surprises(samples, fit, precision, missed)
+        invert_normal_matrices(fit)
+        _standardise_residuals(samples, fit, precision, missed)
         _biweigh(samples, missed, scale)
     normal_equations(samples, fit)
 
 
 @inner
-def _expected(samples: Array, fit: Array, precision: Array) -> None:
+def _compute_precision(samples: Array, fit: Array, precision: Array) -> None:
     """Inverse of the standard deviation that each sample is expected to have; 0 if not used."""
     for i in range(len(samples)):
         of, out = samples[i], precision[i]
@@ -156,22 +156,22 @@ def _least_absolute_step(samples: Array, fit: Array, precision: Array) -> None:
     for i in range(len(samples)):
         of, expected = samples[i], precision[i]
         for p in range(BLOCK):
-            of[TRIAL + p] = of[USABLE + p] / max(abs(missed_by(of, fit, p)) * expected[p], ONE)
+            of[TRIAL + p] = of[USABLE + p] / max(abs(residual_of(of, fit, p)) * expected[p], ONE)
             add_sample(of, fit, p)
 
 
 @inner
-def _surprises(samples: Array, fit: Array, precision: Array, missed: Array) -> None:
+def _standardise_residuals(samples: Array, fit: Array, precision: Array, missed: Array) -> None:
     """Absolute residuals in units of the expected noise; infinite where a sample is not used."""
     for i in range(len(samples)):
         of, expected, out = samples[i], precision[i], missed[i]
         for p in range(BLOCK):
-            surprise = abs(missed_by(of, fit, p)) * expected[p]
+            surprise = abs(residual_of(of, fit, p)) * expected[p]
             out[p] = surprise if of[USABLE + p] > ZERO else np.float32(np.inf)
 
 
 @inner
-def _scales(samples: Array, missed: Array, quantiles: Array, scale: Array, rows: Array) -> None:
+def _estimate_scales(samples: Array, missed: Array, quantiles: Array, scale: Array, rows: Array) -> None:
     """Robust scale of the residuals of an L1 fit, as `robust_fitting` has it.
 
     The bits of numbers that are not negative are ordered like the numbers.  So the one of a given
@@ -199,7 +199,7 @@ def _scales(samples: Array, missed: Array, quantiles: Array, scale: Array, rows:
 
 
 @inner
-def _without_worst(
+def _fit_without_worst(
     samples: Array, fit: Array, precision: Array, start: Array, largest: Array, worst: Array
 ) -> None:
     """Fit without the sample whose absence lets the sum of squares fall most."""
@@ -211,14 +211,14 @@ def _without_worst(
         largest[p] = -ONE
         worst[p] = -ONE
     normal_equations(samples, fit)
-    inverted(fit)
+    invert_normal_matrices(fit)
     for k in range(3):
         copy(start[k], fit[SCALED + k * BLOCK : SCALED + (k + 1) * BLOCK])
     for i in range(len(samples)):
         of, expected, which = samples[i], precision[i], np.float32(i)
         for p in range(BLOCK):
-            own = leverage(of, fit, p)
-            surprise = missed_by(of, fit, p) * expected[p]
+            own = leverage_of(of, fit, p)
+            surprise = residual_of(of, fit, p) * expected[p]
             fall = surprise * surprise / max(ONE - of[USABLE + p] * own, _SMALLEST_REST)
             worst[p] = which if fall > largest[p] else worst[p]
             largest[p] = fall if fall > largest[p] else largest[p]
@@ -227,7 +227,7 @@ def _without_worst(
         for p in range(BLOCK):
             of[TRIAL + p] = ZERO if worst[p] == which else of[USABLE + p]
     normal_equations(samples, fit)
-    inverted(fit)
+    invert_normal_matrices(fit)
 
 
 @inner
@@ -254,7 +254,7 @@ def _biweigh(samples: Array, missed: Array, per_reach: Array) -> None:
 
 @inner
 def reweigh_blocks(work: Work) -> None:
-    """Fit all blocks by least squares, and what those cannot explain by `biweighted`.
+    """Fit all blocks by least squares, and what those cannot explain by `reweigh_by_biweight`.
 
     Parameters
     ----------
@@ -266,10 +266,10 @@ def reweigh_blocks(work: Work) -> None:
     waiting = np.int64(0)  # a plain 0 is a constant to the compiler, for which it would compile another copy
     for block in range(len(samples)):
         normal_equations(samples[block], fits[block])
-        inverted(fits[block])
-        found = doubtful(samples[block], fits[block], rows[0], rows[1], fewer)
+        invert_normal_matrices(fits[block])
+        found = find_doubtful(samples[block], fits[block], rows[0], rows[1], fewer)
         if found > BLOCK // 2:
-            biweighted(samples[block], fits[block], work.noise, rows, work.quantiles)
+            reweigh_by_biweight(samples[block], fits[block], work.noise, rows, work.quantiles)
             _undo_others(samples[block], fits[block], fewer[:found], rows[0])
             continue
         for k in range(found):
@@ -284,7 +284,7 @@ def reweigh_blocks(work: Work) -> None:
 
 @inner
 def _reweigh(work: Work, size: Any) -> None:
-    """Collect pixels from their blocks into one, solve them by `biweighted`, and return them."""
+    """Collect pixels from their blocks into one, solve them by `reweigh_by_biweight`, and return them."""
     samples, fits, some, fit = work.samples, work.fits, work.some, work.fit
     for q in range(size):
         block, p = work.places[0, q], work.places[1, q]
@@ -293,8 +293,8 @@ def _reweigh(work: Work, size: Any) -> None:
                 some[i, k + q] = samples[block, i, k + p]
         for k in range(0, FIT, BLOCK):
             fit[k + q] = fits[block, k + p]
-    biweighted(some, fit, work.noise, work.rows, work.quantiles)
-    inverted(fit)
+    reweigh_by_biweight(some, fit, work.noise, work.rows, work.quantiles)
+    invert_normal_matrices(fit)
     for q in range(size):
         block, p = work.places[0, q], work.places[1, q]
         for i in range(len(some)):
@@ -314,4 +314,4 @@ def _undo_others(samples: Array, fit: Array, chosen: Array, others: Array) -> No
         for p in range(BLOCK):
             of[TRIAL + p] = of[USABLE + p] if others[p] > ZERO else of[TRIAL + p]
     normal_equations(samples, fit)
-    inverted(fit)
+    invert_normal_matrices(fit)

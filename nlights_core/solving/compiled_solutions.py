@@ -33,8 +33,8 @@ from nlights_core.solving.compiled_fits import (
     MATRIX,
     SCALED,
     Work,
-    solved_exactly,
-    surely_determined,
+    solve_exactly,
+    sure_determinant,
 )
 from nlights_core.solving.least_squares import COVERING, FORESEEN
 from nlights_core.solving.rules import Kernel, Limits
@@ -50,7 +50,7 @@ _NAN = np.float32(np.nan)
 
 
 @inner
-def usable(work: Work, shadow: np.float32) -> None:
+def mark_usable(work: Work, shadow: np.float32) -> None:
     """Leave out what is not finite or in shadow: value and weights 0.
 
     Parameters
@@ -93,7 +93,7 @@ def load(images: Array, lights: Array, weights: Array, start: int, shadow: np.fl
     start : int
         The first pixel.
     shadow : float32
-        As for `usable`.
+        As for `mark_usable`.
     work : Work
         Receives them.
     """
@@ -115,7 +115,7 @@ def load(images: Array, lights: Array, weights: Array, start: int, shadow: np.fl
                     of[X + p], of[Y + p], of[Z + p] = rays[p, 0], rays[p, 1], rays[p, 2]
             for k in range(0, SAMPLE, BLOCK):
                 of[k + size : k + BLOCK] = ZERO
-    usable(work, shadow)
+    mark_usable(work, shadow)
 
 
 @inner
@@ -130,14 +130,14 @@ def solve_blocks(work: Work, condition: float) -> None:
     condition : float
         As for `nlights_core.solving.least_squares.fit`.
     """
-    sure = surely_determined(condition)
+    sure = sure_determinant(condition)
     samples, fits, found, rows = work.samples, work.fits, work.found, work.fit
     for block in range(len(samples)):
         of, fit = samples[block], fits[block]
         _sums(of, fit, rows)
         for p in range(BLOCK):
             if not (rows[p] >= 3 and fit[DETERMINANT + p] > sure):
-                _solve_exactly(of, fit, p, condition)
+                _solve_pixel_exactly(of, fit, p, condition)
                 _sum_pixel(of, fit, rows, p)
         _finish(fit, rows, found[block])
         for p in range(BLOCK):
@@ -206,15 +206,15 @@ def _finish(fit: Array, rows: Array, found: Array) -> None:
 
 
 @inner
-def _solve_exactly(samples: Array, fit: Array, p: int, condition: float) -> None:
+def _solve_pixel_exactly(samples: Array, fit: Array, p: int, condition: float) -> None:
     """Solve one pixel in double precision, by the trial weights or else by all usable samples."""
-    if solved_exactly(samples, fit, p, TRIAL, condition):
+    if solve_exactly(samples, fit, p, TRIAL, condition):
         return
     differ = False
     for i in range(len(samples)):
         differ |= samples[i, TRIAL + p] != samples[i, USABLE + p]
         samples[i, TRIAL + p] = samples[i, USABLE + p]
-    if not (differ and solved_exactly(samples, fit, p, USABLE, condition)):
+    if not (differ and solve_exactly(samples, fit, p, USABLE, condition)):
         for k in range(3):
             fit[SCALED + k * BLOCK + p] = _NAN
 

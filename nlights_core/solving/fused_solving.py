@@ -29,7 +29,7 @@ from nlights_core.photographs.flat_fields import FlatField
 from nlights_core.photographs.images import EYE
 from nlights_core.photographs.strips import Blocks, Optics, Strip
 from nlights_core.solving.agreement import AgreementMeter
-from nlights_core.solving.compiled_delivery import deliver, strip_solver, take
+from nlights_core.solving.compiled_delivery import deliver, strip_solver, take_solution
 from nlights_core.solving.compiled_solutions import FOUND
 from nlights_core.solving.kernels import Images, rule_of, scratch
 from nlights_core.solving.least_squares import UsableLights
@@ -217,7 +217,7 @@ class FusedSolver:
             found = np.empty((len(blocks.samples), FOUND), np.float32)
             solution = verbs.solve(self.solver, band.grey, band.lights, band.weights)
             normals, albedo, uncertainty, used = (np.require(p, np.float32, ["C", "W"]) for p in solution)
-            take(blocks.samples, normals, albedo, uncertainty, used, found)
+            take_solution(blocks.samples, normals, albedo, uncertainty, used, found)
             deliver(blocks, found, 0, white, images)
         pixels = np.count_nonzero(strip.inside) if strip.inside.size else images.residual.size
         return int(pixels), blocks.totals[: self._count]

@@ -48,7 +48,7 @@ def rule_of(solver: NormalSolver) -> Rule | None:
     return rule(kernel, **solver.model_dump()) if kernel else None
 
 
-def solve(rule: Rule, images: Array, lights: Array, weights: Array, shadow: float) -> Solution:
+def solve_by_rule(rule: Rule, images: Array, lights: Array, weights: Array, shadow: float) -> Solution:
     """Solve a band as the normal solver with that rule does.
 
     Parameters
@@ -133,7 +133,7 @@ def _plain(array: Array) -> Array:
 def robust_solution(
     images: Array, lights: Array, weights: Array, shadow: float, condition: float
 ) -> Solution:
-    """Solve a band by `nlights_core.solving.robust_fitting.reweighted`.
+    """Solve a band by `nlights_core.solving.robust_fitting.reweigh`.
 
     Parameters
     ----------
@@ -147,12 +147,12 @@ def robust_solution(
     Solution
     """
     if available():
-        return solve(rule("robust", condition), images, lights, weights, shadow)
+        return solve_by_rule(rule("robust", condition), images, lights, weights, shadow)
     solved = partial(_reweighted, shadow=shadow, condition=condition)
     return robust_fitting.in_blocks(solved, images, lights, weights)
 
 
 def _reweighted(images: Array, lights: Array, weights: Array, shadow: float, condition: float) -> Solution:
     usable = least_squares.lit(images, weights, shadow)
-    kept, found = robust_fitting.reweighted(images, lights, usable, condition)
+    kept, found = robust_fitting.reweigh(images, lights, usable, condition)
     return least_squares.solution(images, lights, kept, found)

@@ -122,7 +122,7 @@ def fit_fewer(
     return kept, found
 
 
-def rank_trimmed(images: Array, weights: Array, darkest: float, brightest: float) -> Array:
+def trim_by_rank(images: Array, weights: Array, darkest: float, brightest: float) -> Array:
     """Weights without the darkest and the brightest share of each pixel's usable samples.
 
     Parameters
@@ -209,7 +209,7 @@ def _weighted_median(values: Array, weights: Array) -> Array:
     return np.where(heaped[-1] > 0, np.take_along_axis(values, chosen, axis=0)[0], np.nan)
 
 
-def reweighted(images: Array, lights: Array, weights: Array, condition: float) -> tuple[Array, Fit]:
+def reweigh(images: Array, lights: Array, weights: Array, condition: float) -> tuple[Array, Fit]:
     """Least squares where they hold; elsewhere Tukey's biweight about the L1 fit.
 
     The variance that a sample is expected to have at an albedo a is that of photon noise and of an
@@ -243,26 +243,26 @@ def reweighted(images: Array, lights: Array, weights: Array, condition: float) -
     values = np.where(weights > 0, images, np.float32(0))
     # Where the lights do not determine a normal the sums are senseless; `fit` finds that out.
     with np.errstate(all="ignore"):
-        rays, squares = _prepared(lights)
-        start = _fitted(values, rays, squares, weights)
+        rays, squares = _light_products(lights)
+        start = _fit_single_precision(values, rays, squares, weights)
         precision = _precision(weights, start)
-        doubtful = np.max(_missed(values, lights, start, precision), axis=0) > SUSPICIOUS
+        doubtful = np.max(_standardised_residuals(values, lights, start, precision), axis=0) > SUSPICIOUS
         doubtful &= np.count_nonzero(weights > 0, axis=0) >= FEWEST
         chosen = np.nonzero(doubtful)[0]
         better = weights
         if chosen.size == doubtful.size:
             # Where all are doubtful, nothing needs to be copied.
-            better = _biweighted(values, lights, weights, precision, start)
+            better = _reweigh_by_biweight(values, lights, weights, precision, start)
         elif chosen.size:
             some = lights if lights.shape[1] == 1 else lights[:, chosen]
             better = weights.copy()
-            better[:, chosen] = _biweighted(
+            better[:, chosen] = _reweigh_by_biweight(
                 values[:, chosen], some, weights[:, chosen], precision[:, chosen], start[:, chosen]
             )
     return fit_fewer(images, lights, better, weights, condition)
 
 
-def _shown(lights: Array, scaled: Array) -> Array:
+def _predict(lights: Array, scaled: Array) -> Array:
     """Prediction of every sample by a fit, (L, n) float32.
 
     ``einsum`` and no matrix product, as in `least_squares`: those share small work out to
@@ -285,54 +285,62 @@ def _precision(weights: Array, scaled: Array) -> Array:
     return np.where(known, np.sqrt(weights / np.where(known, variance, 1)), np.float32(0))
 
 
-def _prepared(lights: Array) -> tuple[Array, Array]:
+def _light_products(lights: Array) -> tuple[Array, Array]:
     """Lights (3, L, n) and their products xx, xy, xz, yy, yz, zz (6, L, n), float32; n may be 1."""
     rays = np.moveaxis(lights, -1, 0).astype(np.float32)
     rows, columns = np.triu_indices(3)
     return rays, np.asarray(rays[rows] * rays[columns])
 
 
-def _biweighted(images: Array, lights: Array, weights: Array, precision: Array, start: Array) -> Array:
-    """Weights by Tukey's biweight, (L, m) float32; see `reweighted`."""
-    rays, squares = _prepared(lights)
+def _reweigh_by_biweight(
+    images: Array, lights: Array, weights: Array, precision: Array, start: Array
+) -> Array:
+    """Weights by Tukey's biweight, (L, m) float32; see `reweigh`."""
+    rays, squares = _light_products(lights)
     scaled = start
     for _ in range(ABSOLUTE_ROUNDS):
-        missed = _missed(images, lights, scaled, precision)
+        missed = _standardised_residuals(images, lights, scaled, precision)
         np.maximum(missed, np.float32(1), out=missed)
-        scaled = _fitted(images, rays, squares, np.divide(weights, missed, out=missed))
-    missed = _missed(images, lights, scaled, precision)
+        scaled = _fit_single_precision(images, rays, squares, np.divide(weights, missed, out=missed))
+    missed = _standardised_residuals(images, lights, scaled, precision)
     scale = _scale(missed, weights > 0)
     if len(images) <= FEW:
-        other = _without_worst(images, lights, weights, precision, start)
+        other = _residuals_without_worst(images, lights, weights, precision, start)
         other_scale = _scale(other, weights > 0)
         missed = np.where(other_scale < scale, other, missed)
         scale = np.minimum(scale, other_scale)
     reach = np.float32(TUKEY) * np.maximum(scale, np.float32(1))
     better = _tukey(missed, reach) * weights
     for _ in range(BIWEIGHT_ROUNDS - 1):
-        scaled = _fitted(images, rays, squares, better)
-        better = _tukey(_missed(images, lights, scaled, precision), reach) * weights
+        scaled = _fit_single_precision(images, rays, squares, better)
+        better = _tukey(_standardised_residuals(images, lights, scaled, precision), reach) * weights
     return np.asarray(better)
 
 
-def _without_worst(images: Array, lights: Array, weights: Array, precision: Array, start: Array) -> Array:
+def _residuals_without_worst(
+    images: Array, lights: Array, weights: Array, precision: Array, start: Array
+) -> Array:
     """Absolute residuals of the fit without the sample that the others predict worst, (L, m) float32.
 
     The square of a sample's residual, divided by 1 - leverage, is by how much the sum of
     squares falls without it.
     """
-    rays, squares = _prepared(lights)
+    rays, squares = _light_products(lights)
     inverse = _inverse(_sums(squares, weights))
     own = np.einsum("kln,kn->ln", squares, inverse * np.array([1, 2, 2, 1, 2, 1], np.float32)[:, None])
-    fall = _missed(images, lights, start, precision) ** 2 / np.maximum(1 - weights * own, np.float32(0.01))
+    fall = _standardised_residuals(images, lights, start, precision) ** 2 / np.maximum(
+        1 - weights * own, np.float32(0.01)
+    )
     fewer = weights.copy()
     np.put_along_axis(fewer, np.argmax(fall, axis=0)[None], 0, axis=0)
-    return _missed(images, lights, _fitted(images, rays, squares, fewer), precision)
+    return _standardised_residuals(
+        images, lights, _fit_single_precision(images, rays, squares, fewer), precision
+    )
 
 
-def _missed(images: Array, lights: Array, scaled: Array, precision: Array) -> Array:
+def _standardised_residuals(images: Array, lights: Array, scaled: Array, precision: Array) -> Array:
     """Absolute residuals in units of the expected noise, (L, m) float32."""
-    shown = _shown(lights, scaled)
+    shown = _predict(lights, scaled)
     np.subtract(images, shown, out=shown)
     np.abs(shown, out=shown)
     return np.multiply(shown, precision, out=shown)
@@ -347,7 +355,7 @@ def _tukey(missed: Array, reach: Array) -> Array:
     return np.square(missed, out=missed)
 
 
-def _fitted(images: Array, rays: Array, squares: Array, weights: Array) -> Array:
+def _fit_single_precision(images: Array, rays: Array, squares: Array, weights: Array) -> Array:
     """A least-squares fit in single precision, good enough to weigh by, (3, m) float32."""
     xx, xy, xz, yy, yz, zz = _inverse(_sums(squares, weights))
     x, y, z = _sums(rays, weights * images)

@@ -41,7 +41,7 @@ def bias(
         field = read_lights(store, lights)
         divisor = read_flat_field(store.path(flat_field)) if flat_field else None
         with store.scratch() as scratch, darkroom(tile, scratch, flats=True) as room:
-            band_solving.solve(room, solver, field, divisor, None, scratch, progress)
+            band_solving.solve_tile(room, solver, field, divisor, None, scratch, progress)
             reference = NormalField(read_array(scratch / "normals.npy"), room.grid)
             write_array(folder / "bias.npy", verbs.bias(detrend, reference))
 

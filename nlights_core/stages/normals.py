@@ -56,6 +56,6 @@ def normals(
         with store.scratch() as scratch, darkroom(tile, scratch) as room:
             if flat_field:
                 room.noise = read_noise(store.path(flat_field)) or room.noise
-            band_solving.solve(room, solver, field, divisor, before, folder, progress, removed, white)
+            band_solving.solve_tile(room, solver, field, divisor, before, folder, progress, removed, white)
 
     return Work(ref, record, make)

@@ -22,7 +22,9 @@ class LeastSquares(UsableLights):
 
     def solve(self, images: Array, lights: Array, weights: Array) -> Solution:
         if available():
-            return kernels.solve(rule(self.kernel, **self.model_dump()), images, lights, weights, self.shadow)
+            return kernels.solve_by_rule(
+                rule(self.kernel, **self.model_dump()), images, lights, weights, self.shadow
+            )
         usable = least_squares.lit(images, weights, self.shadow)
         found = least_squares.fit(images, lights, usable, self.condition)
         return least_squares.solution(images, lights, usable, found)

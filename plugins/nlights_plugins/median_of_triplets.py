@@ -35,7 +35,7 @@ class MedianOfTriplets(UsableLights):
     def solve(self, images: Array, lights: Array, weights: Array) -> Solution:
         if available():
             chosen = rule(self.kernel, **self.model_dump())
-            return kernels.solve(chosen, images, lights, weights, self.shadow)
+            return kernels.solve_by_rule(chosen, images, lights, weights, self.shadow)
         return robust_fitting.in_blocks(self._solved, images, lights, weights)
 
     def _solved(self, images: Array, lights: Array, weights: Array) -> Solution:

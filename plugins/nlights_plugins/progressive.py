@@ -29,7 +29,9 @@ class Progressive(UsableLights):
 
     def solve(self, images: Array, lights: Array, weights: Array) -> Solution:
         if available():
-            return kernels.solve(rule(self.kernel, **self.model_dump()), images, lights, weights, self.shadow)
+            return kernels.solve_by_rule(
+                rule(self.kernel, **self.model_dump()), images, lights, weights, self.shadow
+            )
         usable = least_squares.lit(images, weights, self.shadow)
         found = least_squares.fit(images, lights, usable, self.condition)
         for _ in range(len(images) - self.keep):

@@ -35,11 +35,13 @@ class RankTrim(UsableLights):
 
     def solve(self, images: Array, lights: Array, weights: Array) -> Solution:
         if available():
-            return kernels.solve(rule(self.kernel, **self.model_dump()), images, lights, weights, self.shadow)
+            return kernels.solve_by_rule(
+                rule(self.kernel, **self.model_dump()), images, lights, weights, self.shadow
+            )
         return robust_fitting.in_blocks(self._solved, images, lights, weights)
 
     def _solved(self, images: Array, lights: Array, weights: Array) -> Solution:
         usable = least_squares.lit(images, weights, self.shadow)
-        fewer = robust_fitting.rank_trimmed(images, usable, self.darkest, self.brightest)
+        fewer = robust_fitting.trim_by_rank(images, usable, self.darkest, self.brightest)
         kept, found = robust_fitting.fit_fewer(images, lights, fewer, usable, self.condition)
         return least_squares.solution(images, lights, kept, found)

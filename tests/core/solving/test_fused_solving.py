@@ -72,7 +72,7 @@ def height(tile) -> np.ndarray:
 def found(tile, solver, lights, divisor, surface, folder, bias=None) -> dict[str, np.ndarray]:
     folder.mkdir()
     with darkroom(tile, folder) as room:
-        solving.solve(room, solver, lights, divisor, surface, folder, lambda share: None, bias, 0.9)
+        solving.solve_tile(room, solver, lights, divisor, surface, folder, lambda share: None, bias, 0.9)
         account = [(e.pixels, e.saturated, e.total) for e in room.exposures.values()]
     agreement = json.loads((folder / "agreement.json").read_text())
     images = {name: np.load(folder / f"{name}.npy") for name in ARRAYS}

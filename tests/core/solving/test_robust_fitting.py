@@ -41,7 +41,7 @@ def reweighted(images, lights, weights=None, noise=0.005):
     """Weights as shares of what the noise stands for."""
     scale = np.float32(1 / (noise**2 * PHOTONS))
     weights = np.ones_like(images) if weights is None else weights
-    kept, found = robust_fitting.reweighted(images, lights, weights * scale, CONDITION)
+    kept, found = robust_fitting.reweigh(images, lights, weights * scale, CONDITION)
     return kept / scale, found
 
 
@@ -116,7 +116,7 @@ def test_rank_trimming_keeps_the_ranks_between_the_shares_of_the_usable_samples(
     images = np.arange(10, dtype=np.float32)[::-1, None].repeat(2, axis=1)
     weights = np.full_like(images, 0.5)
     weights[:5, 1] = 0
-    kept = robust_fitting.rank_trimmed(images, weights, 0.2, 0.1)
+    kept = robust_fitting.trim_by_rank(images, weights, 0.2, 0.1)
     assert images[kept[:, 0] > 0, 0].tolist() == [8, 7, 6, 5, 4, 3, 2]
     assert images[kept[:, 1] > 0, 1].tolist() == [3, 2, 1]
     assert set(kept.ravel()) == {0.0, 0.5}
