@@ -236,7 +236,7 @@ def _excess(height: Array, across: Array, down: Array, i: int, step: Array, line
 
 
 @kernel
-def left_over(
+def subtract_laplacian_rows(
     residual: Array, length: float, height: Array, across: Array, down: Array, first: int, out: Array
 ) -> None:
     """Rows of a residual, from ``first`` on, less ``length`` times the weighted Laplacian of a height."""
@@ -249,7 +249,9 @@ def left_over(
 
 
 @kernel
-def overlap(other: Array, height: Array, across: Array, down: Array, first: int, last: int) -> float:
+def laplacian_product_of_rows(
+    other: Array, height: Array, across: Array, down: Array, first: int, last: int
+) -> float:
     """Sum of ``other`` times the weighted Laplacian of a height, over rows ``first`` to ``last``."""
     columns = height.shape[1]
     step, line = np.zeros(columns + 1), np.empty(columns)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from nlights_core.frames import Array
-from nlights_core.integration.poisson import bands, solve_poisson
+from nlights_core.integration.poisson import row_slices, solve_poisson
 from nlights_core.machine.band_threads import in_order
 
 LINES = 16
@@ -106,14 +106,14 @@ def masked_laplacian(height: Array, known: Array, out: Array) -> float:
         own[first + 1 - lines.start :] -= step[: lines.stop - first - 1]
         return float(np.einsum("ij,ij->", height[lines], own, dtype=np.float64))
 
-    return sum(in_order(work, bands(len(height), LINES)))
+    return sum(in_order(work, row_slices(len(height), LINES)))
 
 
 def _dot(a: Array, b: Array) -> float:
     def work(lines: slice) -> float:
         return float(np.einsum("ij,ij->", a[lines], b[lines], dtype=np.float64))
 
-    return sum(in_order(work, bands(len(a), LINES)))
+    return sum(in_order(work, row_slices(len(a), LINES)))
 
 
 def _follow(direction: Array, share: float, change: Array) -> None:
@@ -124,7 +124,7 @@ def _follow(direction: Array, share: float, change: Array) -> None:
         part *= share
         part += change[lines]
 
-    list(in_order(work, bands(len(direction), LINES)))
+    list(in_order(work, row_slices(len(direction), LINES)))
 
 
 def _advance(height: Array, residual: Array, direction: Array, change: Array, length: float) -> None:
@@ -134,4 +134,4 @@ def _advance(height: Array, residual: Array, direction: Array, change: Array, le
         height[lines] += length * direction[lines]
         residual[lines] -= length * change[lines]
 
-    list(in_order(work, bands(len(height), LINES)))
+    list(in_order(work, row_slices(len(height), LINES)))

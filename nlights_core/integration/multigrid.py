@@ -9,7 +9,7 @@ from typing import TypeVar
 import numpy as np
 
 from nlights_core.frames import Array
-from nlights_core.integration.poisson import BAND, bands
+from nlights_core.integration.poisson import BAND, row_slices
 from nlights_core.machine.band_threads import in_order
 from nlights_core.machine.kernel_switch import available
 
@@ -54,11 +54,11 @@ def weighted_laplacian(height: Array, across: Array, down: Array) -> Array:
     array([[ -1., -19.,  20.]])
     """
     excess = np.zeros_like(height)
-    for lines in bands(len(height)):
+    for lines in row_slices(len(height)):
         steps = np.diff(height[lines], axis=1) * across[lines]
         excess[lines, 1:] += steps
         excess[lines, :-1] -= steps
-    for lines in bands(len(down)):
+    for lines in row_slices(len(down)):
         below = slice(lines.start + 1, lines.stop + 1)
         steps = (height[below] - height[lines]) * down[lines]
         excess[below] += steps
@@ -66,7 +66,9 @@ def weighted_laplacian(height: Array, across: Array, down: Array) -> Array:
     return excess
 
 
-def left_over(residual: Array, length: float, height: Array, across: Array, down: Array, out: Array) -> None:
+def subtract_laplacian(
+    residual: Array, length: float, height: Array, across: Array, down: Array, out: Array
+) -> None:
     """Remainder of a residual after going a length along a height.
 
     Parameters
@@ -82,28 +84,30 @@ def left_over(residual: Array, length: float, height: Array, across: Array, down
         from nlights_core.integration import compiled_integration as compiled
 
         def work(lines: slice) -> None:
-            compiled.left_over(residual[lines], float(length), height, across, down, lines.start, out[lines])
+            compiled.subtract_laplacian_rows(
+                residual[lines], float(length), height, across, down, lines.start, out[lines]
+            )
 
         _in_threads(work, height)
     else:
         out[:] = residual - length * weighted_laplacian(height, across, down)
 
 
-def overlap(other: Array, height: Array, across: Array, down: Array) -> float:
+def laplacian_product(other: Array, height: Array, across: Array, down: Array) -> float:
     """Sum of ``other`` times `weighted_laplacian` of a height, in double precision."""
     if not available():
         return _dot(other, weighted_laplacian(height, across, down))
     from nlights_core.integration import compiled_integration as compiled
 
     def work(lines: slice) -> float:
-        return compiled.overlap(other, height, across, down, lines.start, lines.stop)
+        return compiled.laplacian_product_of_rows(other, height, across, down, lines.start, lines.stop)
 
     return sum(_in_threads(work, height))
 
 
 def _in_threads(work: Callable[[slice], Result], grid: Array) -> list[Result]:
     lines = BAND if grid.size > SMALL else len(grid)
-    parts = bands(len(grid), lines)
+    parts = row_slices(len(grid), lines)
     return list(in_order(work, parts)) if grid.size > SMALL else [work(part) for part in parts]
 
 
@@ -171,14 +175,14 @@ class Multigrid:
         height = residual * level.inverse_diagonal
         height *= np.float32(DAMPING)
         left = np.empty_like(residual)
-        left_over(residual, 1.0, height, level.across, level.down, left)
+        subtract_laplacian(residual, 1.0, height, level.across, level.down, left)
         coarse = _block_sums(left)
         # What a level does not need while the coarser ones work is not held.
         del left
         _add_blocks(height, self._coarse_steps(depth + 1, coarse))
         del coarse
         left = np.empty_like(residual)
-        left_over(residual, 1.0, height, level.across, level.down, left)
+        subtract_laplacian(residual, 1.0, height, level.across, level.down, left)
         _jacobi(height, left, level.inverse_diagonal)
         return height
 
@@ -188,18 +192,18 @@ class Multigrid:
         if depth == len(self._levels) - 1:
             return first
         level = self._levels[depth]
-        stiffness = overlap(first, first, level.across, level.down)
+        stiffness = laplacian_product(first, first, level.across, level.down)
         if stiffness <= 0:
             return first
         length = _dot(first, residual) / stiffness
         left = np.empty_like(residual)
-        left_over(residual, length, first, level.across, level.down, left)
+        subtract_laplacian(residual, length, first, level.across, level.down, left)
         if _dot(left, left) <= CLOSE_ENOUGH**2 * _dot(residual, residual):
             first *= np.float32(length)
             return first
         second = self._cycle(depth, left)
-        common = overlap(second, first, level.across, level.down) / stiffness
-        second_stiffness = overlap(second, second, level.across, level.down) - common**2 * stiffness
+        common = laplacian_product(second, first, level.across, level.down) / stiffness
+        second_stiffness = laplacian_product(second, second, level.across, level.down) - common**2 * stiffness
         second_length = _dot(second, left) / second_stiffness if second_stiffness > 0 else 0.0
         first *= np.float32(length - common * second_length)
         second *= np.float32(second_length)
@@ -295,20 +299,20 @@ def solve_weighted(
     across, down = weights
     preconditioner = Multigrid(across, down)
     enough = tolerance**2 * _dot(residual, preconditioner.correct(residual))
-    left_over(residual, 1.0, height, across, down, residual)
+    subtract_laplacian(residual, 1.0, height, across, down, residual)
     direction = np.zeros(height.shape, np.float32)
     stiffness = 1.0
     for _ in range(most_iterations):
         correction = preconditioner.correct(residual)
         if _dot(residual, correction) <= enough:
             break
-        share = np.float32(-overlap(correction, direction, across, down) / stiffness)
-        for lines in bands(len(height)):
+        share = np.float32(-laplacian_product(correction, direction, across, down) / stiffness)
+        for lines in row_slices(len(height)):
             direction[lines] *= share
             direction[lines] += correction[lines]
         del correction
-        stiffness = overlap(direction, direction, across, down)
+        stiffness = laplacian_product(direction, direction, across, down)
         length = _dot(direction, residual) / stiffness
-        left_over(residual, length, direction, across, down, residual)
-        for lines in bands(len(height)):
+        subtract_laplacian(residual, length, direction, across, down, residual)
+        for lines in row_slices(len(height)):
             height[lines] += length * direction[lines].astype(np.float64)

@@ -6,7 +6,14 @@ import numpy as np
 
 from nlights_core.frames import Array, PixelGrid
 from nlights_core.integration.masked_integration import solve_masked
-from nlights_core.integration.poisson import BAND, Stencil, add_divergence, bands, mean_steps, solve_poisson
+from nlights_core.integration.poisson import (
+    BAND,
+    Stencil,
+    add_divergence,
+    mean_steps,
+    row_slices,
+    solve_poisson,
+)
 from nlights_core.integration.sight_lines import ALL, facing_rays, ray_slopes, seen_gradient, seen_surface
 from nlights_core.machine.band_threads import in_order
 from nlights_core.machine.kernel_switch import available, read_only
@@ -61,7 +68,7 @@ def least_squares_height(
     else:
         require(MASKED * height.size, "integrator: a field with unknown parts")
         known = np.empty(grid.shape, bool)
-        for lines in bands(grid.rows):
+        for lines in row_slices(grid.rows):
             known[lines] = np.isfinite(facing_rays(normals[lines], grid, lines))
         height = solve_masked(height, known)
         height[~known] = np.nan
@@ -105,7 +112,7 @@ def _divergence(
         return int(np.isnan(facing[own]).sum())
 
     if not available():
-        return source, sum(in_order(by_formulas, bands(grid.rows)))
+        return source, sum(in_order(by_formulas, row_slices(grid.rows)))
     from nlights_core.integration import compiled_integration
 
     x, y = ray_slopes(grid, ALL, np.float32)
@@ -119,4 +126,4 @@ def _divergence(
             field, lines.start, x, y.ravel(), size, limit, plane, stencil == "6-point", source[lines]
         )
 
-    return source, sum(in_order(by_loops, bands(grid.rows, 2 * BAND)))
+    return source, sum(in_order(by_loops, row_slices(grid.rows, 2 * BAND)))

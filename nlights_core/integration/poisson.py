@@ -179,7 +179,7 @@ def add_divergence(source: Array, gradient: Array, stencil: Stencil, mean: float
     mean : float
         Taken off every step.
     """
-    for lines in bands(len(source)):
+    for lines in row_slices(len(source)):
         steps = height_steps(gradient[lines], stencil)
         steps -= steps.dtype.type(mean)
         np.nan_to_num(steps, copy=False, nan=0.0)
@@ -225,7 +225,7 @@ def solve_poisson(source: Array, *, overwrite: bool = False) -> Array:
     else:
         spectrum = scipy.fft.dct(spectrum, type=2, axis=0, workers=cores(), overwrite_x=True)
         down = 4 * np.sin(np.pi * np.arange(rows) / (2 * rows)) ** 2
-        for lines in bands(rows):
+        for lines in row_slices(rows):
             spectrum[lines] /= _away_from_zero(-(down[lines, None] + across))
         spectrum = scipy.fft.idct(spectrum, type=2, axis=0, workers=cores(), overwrite_x=True)
     height: Array = scipy.fft.idct(spectrum, type=2, axis=1, workers=cores(), overwrite_x=True)
@@ -268,7 +268,7 @@ def mean_per_island(values: Array) -> Array:
         In the precision of ``values``, NaN where not known; one number where all is known.
     """
     label, count = islands(np.isfinite(values))
-    sums = (sum_per_island(values[lines], label, count, lines) for lines in bands(len(values)))
+    sums = (sum_per_island(values[lines], label, count, lines) for lines in row_slices(len(values)))
     means = island_means(sums, label, values.size)
     spread: Array = means.astype(values.dtype)[label]
     return spread
@@ -286,7 +286,7 @@ def island_means(sums: Iterable[Array], label: Array, pixels: int) -> Array:
     """Means out of `sum_per_island` of all bands, (count + 1,) float64, NaN for what is no island."""
     total = np.sum(list(sums), axis=0)
     sizes = np.zeros(len(total))
-    for lines in bands(len(label)):
+    for lines in row_slices(len(label)):
         sizes += np.bincount(label[lines].ravel(), minlength=len(total))
     # One label for all pixels, see `islands`.
     if label.size == 1:
@@ -305,7 +305,7 @@ def mean_steps(per_column: Array, per_row: Array) -> tuple[float, float]:
 def add_plane(height: Array, tilt: tuple[float, float]) -> None:
     """Add a plane of mean 0 to ``height``, in place; ``tilt`` is its step per column and per row."""
     across, down = plane(height.shape, tilt, np.float64)
-    for lines in bands(len(height)):
+    for lines in row_slices(len(height)):
         height[lines] += down[lines] + across
 
 
@@ -317,7 +317,7 @@ def plane(shape: tuple[int, ...], tilt: tuple[float, float], precision: DTypeLik
     return across.astype(precision), down.astype(precision)[:, None]
 
 
-def bands(rows: int, lines: int = BAND) -> Iterator[slice]:
+def row_slices(rows: int, lines: int = BAND) -> Iterator[slice]:
     """Slices of up to ``lines`` lines that cover all ``rows``."""
     for start in range(0, rows, lines):
         yield slice(start, min(start + lines, rows))
@@ -358,7 +358,7 @@ def _periodic_surface(per_column: Array, per_row: Array) -> Array:
         down[rows // 2] = 0
     spectrum = scipy.fft.rfft2(per_column, workers=-1)
     other = scipy.fft.rfft2(per_row, workers=-1)
-    for lines in bands(rows):
+    for lines in row_slices(rows):
         wave = down[lines, None]
         sum_of_squares = _away_from_zero(across**2 + wave**2)
         spectrum[lines] = -1j * (across * spectrum[lines] + wave * other[lines]) / sum_of_squares
@@ -372,7 +372,7 @@ def _mirrored_surface(per_column: Array, per_row: Array) -> Array:
     spectrum = _sine_and_cosine(per_column, sine=1)
     other = _sine_and_cosine(per_row, sine=0)
     across, down = np.pi * np.arange(columns) / columns, np.pi * np.arange(rows) / rows
-    for lines in bands(rows):
+    for lines in row_slices(rows):
         wave = down[lines, None]
         sum_of_squares = _away_from_zero(across**2 + wave**2)
         spectrum[lines] = -(across * spectrum[lines] + wave * other[lines]) / sum_of_squares

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 from nlights_core.frames import Array, PixelGrid
-from nlights_core.integration.poisson import bands, island_means, islands, plane, sum_per_island
+from nlights_core.integration.poisson import island_means, islands, plane, row_slices, sum_per_island
 from nlights_core.machine.band_threads import in_order
 
 ALL = slice(None)
@@ -39,7 +39,7 @@ def facing_rays(normals: Array, grid: PixelGrid, rows: slice = ALL) -> Array:
     """
     facing = np.empty(normals.shape[:2], normals.dtype)
     x, down = ray_slopes(grid, rows, normals.dtype)
-    for lines in bands(len(normals)):
+    for lines in row_slices(len(normals)):
         n, y = normals[lines], down[lines]
         facing[lines] = n[..., 2] - n[..., 0] * x - n[..., 1] * y
     facing[~(facing > 0)] = np.nan
@@ -81,7 +81,7 @@ def seen_gradient(
     per_column, per_row = np.empty_like(facing), np.empty_like(facing)
     steepest = float(np.tan(np.radians(steepest_deg)))
     x, down = ray_slopes(grid, rows, normals.dtype)
-    for lines in bands(len(normals)):
+    for lines in row_slices(len(normals)):
         y = down[lines]
         sine = np.sqrt(np.maximum(1 + x**2 + y**2 - facing[lines] ** 2, 0))
         scale = grid.pixel_size / np.maximum(facing[lines], sine / steepest)
@@ -141,7 +141,7 @@ def seen_surface(scaled_log: Array, tilt: tuple[float, float], camera_height: fl
             np.expm1(part, out=part)
         return sum_per_island(part, label, count, lines)
 
-    means = island_means(in_order(nearness, bands(len(scaled_log), LINES)), label, scaled_log.size)
+    means = island_means(in_order(nearness, row_slices(len(scaled_log), LINES)), label, scaled_log.size)
     # Of 1 - t, but for the sign, which expm1 gives: 1 - t = -expm1.
     factors = np.ones_like(means) if camera_height is None else -camera_height / (1 + means)
     means, factors = means.astype(scaled_log.dtype), factors.astype(scaled_log.dtype)
@@ -152,7 +152,7 @@ def seen_surface(scaled_log: Array, tilt: tuple[float, float], camera_height: fl
         part -= means[here]
         part *= factors[here]
 
-    list(in_order(centred, bands(len(scaled_log), LINES)))
+    list(in_order(centred, row_slices(len(scaled_log), LINES)))
 
 
 def perspective_height(scaled_log: Array, camera_height: float) -> Array:

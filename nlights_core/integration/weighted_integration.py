@@ -19,7 +19,7 @@ import numpy as np
 from nlights_core.frames import Array, PixelGrid
 from nlights_core.integration.multigrid import MULTIGRID, solve_weighted
 from nlights_core.integration.normal_integration import HALO, SAMPLE, sample_rows, sampled_tilt
-from nlights_core.integration.poisson import Stencil, bands, certain_steps
+from nlights_core.integration.poisson import Stencil, certain_steps, row_slices
 from nlights_core.integration.sight_lines import facing_rays, ray_slopes, seen_gradient, seen_surface
 from nlights_core.machine.band_threads import in_order
 from nlights_core.memory import require
@@ -206,7 +206,7 @@ def _directions(
             step[k][place] = np.nan_to_num(found[k][0] - found[k][0].dtype.type(tilt[k]))
             certainty[k][place] = np.nan_to_num(np.clip(1 / found[k][1], *CERTAINTY))
 
-    list(in_order(work, bands(rows, LINES)))
+    list(in_order(work, row_slices(rows, LINES)))
     return [_Steps(axis, step[k], certainty[k], tilt[k]) for k, axis in enumerate((1, 0))], known
 
 
@@ -218,7 +218,7 @@ def _weights(height: Array, directions: Iterable[_Steps], grid: PixelGrid) -> li
     weights = []
     for steps in directions:
         found = np.empty(steps.step.shape, np.float32)
-        for lines in bands(len(found)):
+        for lines in row_slices(len(found)):
             missed, weight = steps.misses(height, grid, lines)
             weight /= np.sqrt(1 + (missed / (OUTLYING * scale)) ** 2)
             kept = np.clip(weight / middle, *WEIGHTS)
@@ -245,7 +245,7 @@ def _source(directions: Iterable[_Steps], weights: list[Array]) -> Array:
     across, down = directions
     source = np.zeros((len(across.step), down.step.shape[1]))
     for steps, weight, out in ((across.step, weights[0], source), (down.step.T, weights[1].T, source.T)):
-        for lines in bands(len(steps)):
+        for lines in row_slices(len(steps)):
             weighted = steps[lines].astype(np.float64) * weight[lines]
             out[lines, 1:] += weighted
             out[lines, :-1] -= weighted

@@ -31,7 +31,7 @@ def _smallest_and_largest(m: Any, trace: float) -> tuple[float, float]:
 
 
 @kernel
-def solve(
+def fit_normals(
     images: Array, lights: Array, weights: Array, condition: float, solution: Array, surprise: Array
 ) -> None:
     """Fit a scaled normal to the samples of every pixel, and say how surprising each sample is.
@@ -110,7 +110,7 @@ def _times(m: Any, x: float, y: float, z: float) -> tuple[float, float, float]:
 
 
 @kernel
-def changes(
+def predict_changes(
     images: Array, lights: Array, above: Array, lights_above: Array, solution: Array, step: float, out: Array
 ) -> None:
     """Changes of the predicted images against those at a height that is higher by a step, per mm.
@@ -120,7 +120,7 @@ def changes(
     images, above : (L, N) float64 arrays
     lights, lights_above : (L, N, 3) float32 arrays
     solution : (NORMAL, N) float64 array
-        Of `solve`.
+        Of `fit_normals`.
     step : float
         mm.
     out : (L, N) float64 array
@@ -139,7 +139,7 @@ def changes(
 
 
 @kernel
-def sums(
+def add_normal_equations(
     images: Array,
     lights: Array,
     weights: Array,
@@ -157,7 +157,7 @@ def sums(
     images, weights, by_offset, bends : (L, N) float64 arrays
     lights : (L, N, 3) float32 array
     solution : (NORMAL, N) float64 array
-        Of `solve`.
+        Of `fit_normals`.
     scale : float
         Spread of the surprise.
     matrix, right : (L + 1, L + 1) and (L + 1,) float64 arrays

@@ -24,7 +24,7 @@ from nlights_core.fields import LightField
 from nlights_core.frames import Array, PixelGrid
 from nlights_core.integration.poisson import simchony
 from nlights_core.machine.band_threads import in_order
-from nlights_core.near_light.linearisation import Linearised, Strip, linearised
+from nlights_core.near_light.linearisation import Linearised, Strip, linearise
 from nlights_core.photographs.development import Darkroom
 from nlights_core.photographs.flat_fields import FlatField
 from nlights_core.solving import least_squares
@@ -102,7 +102,7 @@ def read_level(folder: Path) -> Level:
     return Level(record["offset_mm"], record["uncertainty_mm"], np.array(record["strengths"]))
 
 
-def level(
+def find_level(
     room: Darkroom, lights: LightField, flat_field: FlatField, height: Array, assumed: Array | None = None
 ) -> Level:
     """Find the constant at which the photographs agree best.
@@ -219,7 +219,7 @@ def _equations(
     """
 
     def at_present(strip: Strip) -> Linearised:
-        return linearised(room, lights, flat_field, strip, offset, logarithms, before)
+        return linearise(room, lights, flat_field, strip, offset, logarithms, before)
 
     parts = list(in_order(at_present, strips))
     size = len(lights.lamps) + 1

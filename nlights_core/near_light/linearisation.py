@@ -64,7 +64,7 @@ class Linearised:
     def reweighted(self, surprise: Array, limit: float) -> Linearised:
         """Solve again, samples counting the less the more they surprised (Cauchy's loss)."""
         weights = self.weights / (1 + (np.nan_to_num(surprise) / limit) ** 2)
-        solution, surprise = _solved(self.images, self.lights, weights)
+        solution, surprise = _fit_normals(self.images, self.lights, weights)
         return replace(self, weights=weights, solution=solution, surprise=surprise)
 
     def sums(self, scale: float) -> tuple[Array, Array, int]:
@@ -84,10 +84,10 @@ class Linearised:
         size = len(self.images) + 1
         matrix, right = np.zeros((size, size)), np.zeros(size)
         if available():
-            from nlights_core.near_light.compiled_overview import sums
+            from nlights_core.near_light.compiled_overview import add_normal_equations
 
             samples = (self.images, self.lights, self.weights, self.by_offset, self.bends)
-            known = sums(*samples, self.solution, scale, matrix, right)
+            known = add_normal_equations(*samples, self.solution, scale, matrix, right)
         else:
             known = self._add_sums(scale, matrix, right)
         return np.triu(matrix) + np.triu(matrix, 1).T, right, known
@@ -122,7 +122,7 @@ class Linearised:
         return int(np.count_nonzero(known))
 
 
-def linearised(
+def linearise(
     room: Darkroom,
     lights: LightField,
     flat_field: FlatField,
@@ -136,7 +136,7 @@ def linearised(
     Parameters
     ----------
     room, lights, flat_field : Darkroom, LightField, FlatField
-        As for `nlights_core.near_light.levelling.level`.
+        As for `nlights_core.near_light.levelling.find_level`.
     strip : Strip
         What is developed.
     offset : float
@@ -160,19 +160,19 @@ def linearised(
     images, rays, weights = developed(offset)
     above, rays_above, _ = developed(offset + STEP)
     usable = least_squares.lit(images, weights, SHADOW).astype(np.float64)
-    solution, surprise = _solved(images, rays, usable)
-    by_offset = _changes(images, rays, above, rays_above, solution)
+    solution, surprise = _fit_normals(images, rays, usable)
+    by_offset = _predict_changes(images, rays, above, rays_above, solution)
     bends = np.ascontiguousarray(strip.bends).reshape(count, -1)
     return Linearised(images, rays, usable, by_offset, bends, solution, surprise)
 
 
-def _solved(images: Array, lights: Array, weights: Array) -> tuple[Array, Array]:
+def _fit_normals(images: Array, lights: Array, weights: Array) -> tuple[Array, Array]:
     """`Linearised.solution` and `Linearised.surprise`."""
     if available():
-        from nlights_core.near_light.compiled_overview import NORMAL, solve
+        from nlights_core.near_light.compiled_overview import NORMAL, fit_normals
 
         solution, surprise = np.empty((NORMAL, images.shape[1])), np.empty(images.shape)
-        solve(images, lights, weights, CONDITION, solution, surprise)
+        fit_normals(images, lights, weights, CONDITION, solution, surprise)
         return solution, surprise
     found = least_squares.fit(images, lights, weights, CONDITION)
     albedo = np.sqrt(np.sum(found.scaled**2, axis=0))
@@ -182,17 +182,19 @@ def _solved(images: Array, lights: Array, weights: Array) -> tuple[Array, Array]
     return np.concatenate([found.scaled, found.inverse]), surprise
 
 
-def _changes(images: Array, lights: Array, above: Array, lights_above: Array, solution: Array) -> Array:
+def _predict_changes(
+    images: Array, lights: Array, above: Array, lights_above: Array, solution: Array
+) -> Array:
     """`Linearised.by_offset`, 0 in pixels that are not known.
 
     A sample's noise is in its residual and would be in its change too, and their product has a mean:
     it was taken for 0.03 mm of height.  So it is the predicted images that are changed.
     """
     if available():
-        from nlights_core.near_light.compiled_overview import changes
+        from nlights_core.near_light.compiled_overview import predict_changes
 
         out = np.empty(images.shape)
-        changes(images, lights, above, lights_above, solution, STEP, out)
+        predict_changes(images, lights, above, lights_above, solution, STEP, out)
         return out
     shown = images - _residuals(images, lights, solution[:3])
     brighter = np.divide(above, images, out=np.ones_like(images), where=images != 0)

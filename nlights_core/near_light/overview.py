@@ -19,7 +19,7 @@ from nlights_core.fields import LightField
 from nlights_core.frames import Array, PixelGrid
 from nlights_core.integration.normal_integration import least_squares_height
 from nlights_core.machine.band_threads import in_order
-from nlights_core.near_light.levelling import Level, level
+from nlights_core.near_light.levelling import Level, find_level
 from nlights_core.photographs.block_means import block_means
 from nlights_core.photographs.development import BAND_BYTES, Darkroom, Raw, bands
 from nlights_core.photographs.flat_fields import FlatField
@@ -107,7 +107,7 @@ class _Solver(UsableLights):
         return robust_solution(images, lights, weights, self.shadow, self.condition)
 
 
-def overview(
+def solve_overview(
     room: ReducedRoom, lights: LightField, flat_field: FlatField | None, passes: int, levels: bool
 ) -> tuple[Array, Level]:
     """Find the height, and what the photographs say of its constant and of the lamps.
@@ -150,7 +150,7 @@ def overview(
             )
         height = least_squares_height(normals, room.grid, stencil="6-point", steepest_deg=STEEPEST_DEG)
         if levels and flat_field is not None:
-            found = level(room, lights, flat_field, height, found.strengths)
+            found = find_level(room, lights, flat_field, height, found.strengths)
             height = height + np.float32(found.offset)
     assert height is not None
     return height, found

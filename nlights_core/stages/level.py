@@ -49,7 +49,7 @@ def level(
             if field.near and grid.unit == "mm":
                 room.noise = read_noise(store.path(flat_field)) or room.noise
                 assumed = read_level(store.path(overview)).strengths
-                found = levelling.level(room, field, divisor, before, assumed)
+                found = levelling.find_level(room, field, divisor, before, assumed)
         write_level(folder, found)
 
         def raised(rows: tuple[int, int]) -> Array:

@@ -8,8 +8,8 @@ from nlights_core.capture import Tile
 from nlights_core.files.arrays import write_array
 from nlights_core.machine.progress import Progress
 from nlights_core.near_light.levelling import write_level
-from nlights_core.near_light.overview import overview as find_overview
 from nlights_core.near_light.overview import reduced_room
+from nlights_core.near_light.overview import solve_overview as find_overview
 from nlights_core.photographs.development import darkroom
 from nlights_core.photographs.flat_fields import read_flat_field
 from nlights_core.photographs.noise import read_noise

@@ -10,7 +10,7 @@ from pydantic import Field
 from nlights_core.algorithms import HeightDetrend
 from nlights_core.fields import HeightMap
 from nlights_core.frames import Array
-from nlights_core.integration.poisson import bands
+from nlights_core.integration.poisson import row_slices
 from nlights_core.machine.band_threads import in_order
 
 BAND = 256
@@ -78,7 +78,7 @@ def parabolic_coefficients(height: Array, terms: Terms = "3x3") -> Array:
         )
 
     moments, products = np.zeros((5, 5)), np.zeros((3, 3))
-    for moment, product in in_order(sums, bands(rows, BAND)):
+    for moment, product in in_order(sums, row_slices(rows, BAND)):
         moments += moment
         products += product
     a, b = _exponents(terms)
@@ -111,7 +111,7 @@ def parabolic_surface(coefficients: Array, shape: tuple[int, int]) -> Array:
     def fill(lines: slice) -> None:
         surface[lines] = np.einsum("bh,bw->hw", y[:, lines], per_row)
 
-    for _ in in_order(fill, bands(rows, BAND)):
+    for _ in in_order(fill, row_slices(rows, BAND)):
         pass
     return surface
 

@@ -8,7 +8,12 @@ import pytest
 from nlights_core.frames import PixelGrid
 from nlights_core.integration.masked_integration import masked_least_squares
 from nlights_core.integration.masked_poisson import masked_laplacian
-from nlights_core.integration.multigrid import Multigrid, left_over, overlap, weighted_laplacian
+from nlights_core.integration.multigrid import (
+    Multigrid,
+    laplacian_product,
+    subtract_laplacian,
+    weighted_laplacian,
+)
 from nlights_core.integration.poisson import (
     frankot_chellappa,
     height_steps,
@@ -520,6 +525,6 @@ def test_what_is_left_of_a_residual_is_what_the_laplacian_says(rng):
     across, down = rng.random((700, 399), np.float32), rng.random((699, 400), np.float32)
     excess = weighted_laplacian(height, across, down)
     out = np.empty_like(other)
-    left_over(other, 0.7, height, across, down, out)
+    subtract_laplacian(other, 0.7, height, across, down, out)
     assert out == pytest.approx(other - 0.7 * excess, abs=1e-12)
-    assert overlap(other, height, across, down) == pytest.approx(np.vdot(other, excess))
+    assert laplacian_product(other, height, across, down) == pytest.approx(np.vdot(other, excess))

@@ -7,7 +7,7 @@ import tifffile
 from nlights_core.configurations import load_stand
 from nlights_core.fields import LightField
 from nlights_core.manifest import load_capture
-from nlights_core.near_light.levelling import Level, level, read_level, write_level
+from nlights_core.near_light.levelling import Level, find_level, read_level, write_level
 from nlights_core.photographs.development import darkroom
 from nlights_core.photographs.flat_fields import read_flat_field
 from nlights_core.recipe import load_recipe
@@ -39,7 +39,7 @@ def scene(request, tmp_path_factory):
 def found(scene, field, height, tmp_path, assumed=None) -> Level:
     tile, _, flat_field, _ = scene
     with darkroom(tile, tmp_path) as room:
-        return level(room, field, flat_field, height, assumed)
+        return find_level(room, field, flat_field, height, assumed)
 
 
 @pytest.mark.parametrize("lost", [0.0, -0.7, 3.0])
@@ -86,7 +86,7 @@ def test_noise_is_not_taken_for_height(tmp_path):
     field = LightField(tile.lamps, positions=load_stand("vertical-dark").lamp_positions())
     with darkroom(tile, tmp_path) as room:
         divisor = read_flat_field(store.path(second.ref))
-        result = level(room, field, divisor, np.zeros(room.grid.shape, np.float32))
+        result = find_level(room, field, divisor, np.zeros(room.grid.shape, np.float32))
     assert result.uncertainty is not None
     assert abs(result.offset) < result.uncertainty < 1
 
@@ -100,7 +100,7 @@ def test_gloss_is_not_taken_for_height(tmp_path):
     store.ensure(second)
     field = LightField(tile.lamps, positions=load_stand("horizontal").lamp_positions())
     with darkroom(tile, tmp_path) as room:
-        result = level(
+        result = find_level(
             room, field, read_flat_field(store.path(second.ref)), np.zeros(room.grid.shape, np.float32)
         )
     assert result.uncertainty is None

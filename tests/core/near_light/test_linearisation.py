@@ -7,8 +7,8 @@ from nlights_core.configurations import load_stand
 from nlights_core.fields import LightField
 from nlights_core.machine.kernel_switch import SWITCH, available
 from nlights_core.manifest import load_capture
-from nlights_core.near_light.levelling import level
-from nlights_core.near_light.linearisation import Strip, linearised
+from nlights_core.near_light.levelling import find_level
+from nlights_core.near_light.linearisation import Strip, linearise
 from nlights_core.photographs.development import darkroom
 from nlights_core.photographs.flat_fields import read_flat_field
 from nlights_core.recipe import load_recipe
@@ -101,7 +101,7 @@ def test_compiled_normal_equations_are_those_of_numpy(scene, tmp_path, monkeypat
         strip = Strip(raw, height, random.normal(size=(count, *height.shape)))
 
         def sums():
-            part = linearised(room, field, flat_field, strip, 0.1, np.full(count, 0.01), np.zeros(count))
+            part = linearise(room, field, flat_field, strip, 0.1, np.full(count, 0.01), np.zeros(count))
             again = part.reweighted(part.surprise, 2.0)
             return again.sums(1.3)
 
@@ -115,7 +115,7 @@ def test_the_level_is_the_same_with_and_without_compiled_loops(scene, tmp_path, 
     tile, field, flat_field = scene
     with darkroom(tile, tmp_path) as room:
         height = np.zeros(room.grid.shape, np.float32)
-        compiled, plain = by_both(monkeypatch, lambda: level(room, field, flat_field, height))
+        compiled, plain = by_both(monkeypatch, lambda: find_level(room, field, flat_field, height))
     assert plain.uncertainty is not None
     assert compiled.uncertainty == pytest.approx(plain.uncertainty, rel=1e-4)
     # A thousandth of what is known about it.
@@ -131,8 +131,8 @@ def test_what_is_not_known_of_a_height_does_not_keep_its_level_from_being_found(
     tile, field, flat_field = scene
     with darkroom(tile, tmp_path) as room:
         height = np.zeros(room.grid.shape, np.float32)
-        whole = level(room, field, flat_field, height)
+        whole = find_level(room, field, flat_field, height)
         height[:, :40] = np.nan
-        some = level(room, field, flat_field, height)
+        some = find_level(room, field, flat_field, height)
     assert some.uncertainty is not None
     assert some.offset == pytest.approx(whole.offset, abs=0.05)
