@@ -16,7 +16,7 @@ BAND_BYTES = 16 << 20
 SAMPLE = 2_000_000
 
 
-def bands(rows: int, row_bytes: int, multiple: int = 1) -> Iterator[slice]:
+def bands_of_bytes(rows: int, row_bytes: int, multiple: int = 1) -> Iterator[slice]:
     """Cut an image into bands of rows of about `BAND_BYTES` each.
 
     Parameters
@@ -72,7 +72,7 @@ def block_means(array: Array, factor: int) -> Array:
         part = part.reshape(len(part), part.shape[1], -1)
         compiled_means.block_means(part, factor, planes[band.start // factor : band.stop // factor])
 
-    deque(in_order(reduce, bands(rows * factor, array[:1].nbytes, factor)), 0)
+    deque(in_order(reduce, bands_of_bytes(rows * factor, array[:1].nbytes, factor)), 0)
     return out
 
 

@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 
 from nlights_core import __version__
-from nlights_core.files.reduction import bands
+from nlights_core.files.reduction import bands_of_bytes
 from nlights_core.files.steady_files import SteadyFile
 from nlights_core.frames import Array, PixelGrid
 from nlights_core.machine.band_threads import cores, in_order
@@ -161,7 +161,7 @@ def write_tiff(
             f"{path}: expected {grid.rows} x {grid.columns} pixels of 1 or 3 channels, got {array.shape}"
         )
     shape = grid.shape if depth in ((), (1,)) else (*grid.shape, 3)
-    rows = (array[band] for band in bands(grid.rows, array[:1].nbytes))
+    rows = (array[band] for band in bands_of_bytes(grid.rows, array[:1].nbytes))
     write_bands(
         path, rows, shape, array.dtype, grid, description=description, icc=icc, compression=compression
     )

@@ -16,7 +16,7 @@ import numpy as np
 from nlights_core.fields import LightField
 from nlights_core.frames import Array
 from nlights_core.integration import poisson
-from nlights_core.lamps.lobes import UNKNOWNS, Readings, fitted, lens_terms, optical_axes, reduced
+from nlights_core.lamps.lobes import UNKNOWNS, Readings, fit_lobes, lens_terms, optical_axes, reduce_readings
 from nlights_core.stands import Stand
 
 LINEAR_MM = 20.0
@@ -109,9 +109,9 @@ def fit_emission(reading: Array, stand: Stand, lamps: tuple[str, ...], x: Array,
     """
     from scipy.special import chdtri
 
-    data = reduced(reading, stand, lamps, x, y)
-    ideal = fitted(data, LINEAR_MM, np.arange(UNKNOWNS) < 4)
-    free = fitted(data, LINEAR_MM, np.ones(UNKNOWNS, bool))
+    data = reduce_readings(reading, stand, lamps, x, y)
+    ideal = fit_lobes(data, LINEAR_MM, np.arange(UNKNOWNS) < 4)
+    free = fit_lobes(data, LINEAR_MM, np.ones(UNKNOWNS, bool))
     places = (UNKNOWNS * np.arange(len(lamps))[:, None] + np.arange(4, 7)).ravel()
     information = np.linalg.inv(free.covariance[np.ix_(places, places)])
     # What the flats alone say: without the wide prior that kept the fit near the stand.

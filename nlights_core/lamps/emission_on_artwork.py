@@ -19,7 +19,14 @@ import numpy as np
 from nlights_core.errors import TileError
 from nlights_core.fields import LightField
 from nlights_core.frames import Array
-from nlights_core.lamps.lobes import UNKNOWNS, Readings, optical_axes, predicted, prior_deviations, slopes
+from nlights_core.lamps.lobes import (
+    UNKNOWNS,
+    Readings,
+    differentiate_readings,
+    optical_axes,
+    predict_readings,
+    prior_deviations,
+)
 
 STRENGTH_DEVIATION = 0.1
 """Of the logarithm of a lamp's strength about the given one, as in `nlights_core.lamps.strengths`."""
@@ -97,10 +104,10 @@ def fit_emission_on_artwork(images: Array, lights: LightField, x: Array, y: Arra
     slope, spread = np.radians(2.0), 0.01
     bent = np.einsum("lnk,nkt->lnt", lean, _warps(data))
     for _ in range(ROUNDS):
-        now = predicted(lamps, data)
+        now = predict_readings(lamps, data)
         residual = data.logarithm - now - bent @ state[-5:]
         weights, share, (slope, spread) = _weights(residual, lean, slope, spread)
-        columns = _columns(slopes(lamps, data, now, FREE), bent)
+        columns = _columns(differentiate_readings(lamps, data, now, FREE), bent)
         # Newton's matrix with the full covariance of each block's readings.
         turned = np.einsum("nij,jna->ina", weights * share[:, None, None], columns)
         matrix = np.einsum("ina,inb->ab", columns, turned, optimize=True) + np.diag(deviations**-2)

@@ -106,7 +106,7 @@ class LobeFit:
     residual: Array
 
 
-def reduced(reading: Array, stand: Stand, lamps: tuple[str, ...], x: Array, y: Array) -> Readings:
+def reduce_readings(reading: Array, stand: Stand, lamps: tuple[str, ...], x: Array, y: Array) -> Readings:
     """Medians of blocks of the flats' logarithm, and what the stand says.
 
     Parameters
@@ -165,7 +165,7 @@ def optical_axes(lamps: Array, data: Readings) -> Array:
     return np.asarray(turned / np.linalg.norm(turned, axis=1, keepdims=True))
 
 
-def predicted(lamps: Array, data: Readings) -> Array:
+def predict_readings(lamps: Array, data: Readings) -> Array:
     """Logarithm of the flat field, (L, N), without the lens.
 
     ``lamps`` is that of `LobeFit`.
@@ -175,7 +175,7 @@ def predicted(lamps: Array, data: Readings) -> Array:
 
 
 def _ideal_and_lobes(lamps: Array, data: Readings) -> tuple[Array, Array]:
-    """`predicted` of lamps of power 1 without the terms B_k, (L, N), and these terms, (11, L, N)."""
+    """`predict_readings` of lamps of power 1 without the terms B_k, (L, N), and these terms, (11, L, N)."""
     positions, axes = data.positions + lamps[:, 4:7], optical_axes(lamps, data)
     ray = data.points - positions[:, None]
     distance = np.linalg.norm(ray, axis=2)
@@ -210,7 +210,7 @@ def prior_deviations(position_mm: float) -> Array:
     return np.array([100.0, aim, aim, EXPONENT_DEVIATION, *[position_mm] * 3, *lobes])
 
 
-def fitted(data: Readings, position_mm: float, free: Array) -> LobeFit:
+def fit_lobes(data: Readings, position_mm: float, free: Array) -> LobeFit:
     """Fit by Gauss-Newton until no unknown changes by more than 1 % of its prior's deviation.
 
     Parameters
@@ -229,17 +229,17 @@ def fitted(data: Readings, position_mm: float, free: Array) -> LobeFit:
     count, samples = data.logarithm.shape
     lamps, lens = np.zeros((count, len(free))), np.zeros(2)
     known = np.isfinite(data.logarithm)
-    lamps[:, 0] = np.nanmean(data.logarithm - predicted(lamps, data) - data.lens, axis=1)
+    lamps[:, 0] = np.nanmean(data.logarithm - predict_readings(lamps, data) - data.lens, axis=1)
     scale = prior_deviations(position_mm)[free]
     deviations = np.concatenate([np.tile(scale, count), np.full(2, VIGNETTING_DEVIATION)])
     residual, information = np.zeros_like(known, float), np.diag(deviations**-2)
     for _ in range(ROUNDS):
-        now = predicted(lamps, data)
+        now = predict_readings(lamps, data)
         residual = np.where(known, data.logarithm - now - data.lens - data.corners @ lens, 0)
         spread = max(LEAST_RESIDUAL, float(np.median(np.abs(residual[known]))) / 0.6745)
         trust = known / (1 + (residual / (TUNING * spread)) ** 2)
         trust *= min(1.0, INDEPENDENT / samples) / spread**2
-        columns = slopes(lamps, data, now, free)
+        columns = differentiate_readings(lamps, data, now, free)
         matrix, right = _normal_equations(columns, data.corners, trust, residual)
         state = np.concatenate([lamps[:, free].ravel(), lens])
         information = matrix + np.diag(deviations**-2)
@@ -254,8 +254,8 @@ def fitted(data: Readings, position_mm: float, free: Array) -> LobeFit:
     return LobeFit(lamps, lens, np.linalg.inv(information), np.where(known, residual, np.nan))
 
 
-def slopes(lamps: Array, data: Readings, now: Array, free: Array) -> Array:
-    """Derivatives of `predicted` by the free unknowns, (L, N, K), by differences from ``now``.
+def differentiate_readings(lamps: Array, data: Readings, now: Array, free: Array) -> Array:
+    """Derivatives of `predict_readings` by the free unknowns, (L, N, K), by differences from ``now``.
 
     It is linear in the logarithm of the power and in the coefficients of the B_k.
     """
@@ -270,7 +270,7 @@ def slopes(lamps: Array, data: Readings, now: Array, free: Array) -> Array:
         else:
             moved = lamps.copy()
             moved[:, k] += steps[k]
-            out[..., place] = (predicted(moved, data) - now) / steps[k]
+            out[..., place] = (predict_readings(moved, data) - now) / steps[k]
     return out
 
 

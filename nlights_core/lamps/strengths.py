@@ -28,8 +28,8 @@ from nlights_core.errors import TileError
 from nlights_core.fields import LightField
 from nlights_core.frames import Array
 from nlights_core.lamps.emission_on_artwork import fit_emission_on_artwork
-from nlights_core.photographs.block_means import block_means
-from nlights_core.photographs.development import bands, darkroom
+from nlights_core.photographs.block_means import average_blocks
+from nlights_core.photographs.development import bands_of_grid, darkroom
 from nlights_core.photographs.images import grey
 
 BLOCKS = 40
@@ -336,7 +336,7 @@ def _normal_equations(
     return curvature, slope, ((inverse @ alone[..., None])[..., 0], solved)
 
 
-def refined(tile: Tile, field: LightField, prior: float, scratch: Path) -> LightField:
+def refine_by_photographs(tile: Tile, field: LightField, prior: float, scratch: Path) -> LightField:
     """Fit strengths and ambient light to a sample of the photographs, or the emission where it is stated.
 
     Raises
@@ -347,13 +347,13 @@ def refined(tile: Tile, field: LightField, prior: float, scratch: Path) -> Light
     with darkroom(tile, scratch) as room:
         if field.near and field.axes is not None:
             block = max(1, room.grid.columns // BLOCKS)
-            means = block_means(room, block, ROWS)
+            means = average_blocks(room, block, ROWS)
             images = grey(means.images / field.power.astype(np.float32)[:, None, None, :])
             images[means.saturated | ~means.inside] = np.nan
             return fit_emission_on_artwork(images, field, *room.grid.block_centres(block))
         every = max(1, int(np.sqrt(room.grid.rows * room.grid.columns / (8 * SAMPLES))))
         samples, vectors = [], []
-        for start, stop in bands(room.grid, len(field.lamps) * 36):
+        for start, stop in bands_of_grid(room.grid, len(field.lamps) * 36):
             raw = room.raw(start, stop, field)
             usable = raw.inside & ~raw.saturated.any(axis=0)
             rows, columns = np.nonzero(usable[::every, ::every])

@@ -20,8 +20,8 @@ from nlights_core.frames import Array, PixelGrid
 from nlights_core.integration.normal_integration import least_squares_height
 from nlights_core.machine.band_threads import in_order
 from nlights_core.near_light.levelling import Level, find_level
-from nlights_core.photographs.block_means import block_means
-from nlights_core.photographs.development import BAND_BYTES, Darkroom, Raw, bands
+from nlights_core.photographs.block_means import average_blocks
+from nlights_core.photographs.development import BAND_BYTES, Darkroom, Raw, bands_of_grid
 from nlights_core.photographs.flat_fields import FlatField
 from nlights_core.photographs.noise import Noise
 from nlights_core.solving.band_solving import solve_band
@@ -85,7 +85,7 @@ def reduced_room(room: Darkroom, progress: Callable[[float], None]) -> ReducedRo
         Rows and columns that fill no block are left out.
     """
     factor = block_edge(room.grid.columns)
-    means = block_means(room, factor, ROWS, progress)
+    means = average_blocks(room, factor, ROWS, progress)
     rows, columns = means.inside.shape
     kept = {f.name: getattr(room, f.name) for f in fields(Darkroom) if f.init and not f.name.startswith("_")}
     kept |= {
@@ -167,7 +167,7 @@ def _normals(
         return solve_band(_Solver(), room.develop(raw, lights, flat_field, below)).normals
 
     # Each core takes as much as a kernel works on at once.
-    return np.concatenate(list(in_order(of_rows, bands(room.grid, BAND_BYTES // TASK))))
+    return np.concatenate(list(in_order(of_rows, bands_of_grid(room.grid, BAND_BYTES // TASK))))
 
 
 class Enlarged:

@@ -32,7 +32,7 @@ class BlockMeans(NamedTuple):
     inside: Array
 
 
-def block_means(
+def average_blocks(
     room: Darkroom, block: int, rows: int, progress: Callable[[float], None] = lambda _: None
 ) -> BlockMeans:
     """Average the photographs of a darkroom over blocks; then check their exposures.

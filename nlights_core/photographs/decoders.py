@@ -85,7 +85,7 @@ class Decoder:
 
 
 @contextmanager
-def damage_explained(path: Path) -> Iterator[None]:
+def explain_damage(path: Path) -> Iterator[None]:
     """Turn whatever a decoder raises about a damaged file into one sentence.
 
     Raises
@@ -142,7 +142,7 @@ def open_decoder(path: Path) -> Decoder:
         start = file.read(8)
     if not start:
         raise TileError(f"{path}: empty, 0 bytes; copy it again from the camera or export it anew")
-    with damage_explained(path), ExitStack() as undo:
+    with explain_damage(path), ExitStack() as undo:
         decoder = _decoder_for(start, path)(path)
         undo.callback(decoder.close)
         if not 0 < decoder.rows * decoder.columns <= MOST_PIXELS:

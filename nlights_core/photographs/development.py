@@ -255,7 +255,7 @@ class Darkroom:
             band = self.develop(raw, lights, flat_field, before)
             return band, work(band)
 
-        places = bands(self.grid, len(self.photographs) * (self.info.channels * 4 + 24))
+        places = bands_of_grid(self.grid, len(self.photographs) * (self.info.channels * 4 + 24))
         # Read one after the other: a photograph serves one thread at a time, and views are kept in order.
         yield from in_order(worked, (self.raw(*place, lights) for place in places))
         self.check()
@@ -270,7 +270,7 @@ class Darkroom:
         raw : Raw
             What `raw` read.
         lights, flat_field : LightField, FlatField or None
-            See `bands`.
+            See `bands_of_grid`.
         height : (h, w) array, optional
             Height of these rows, mm.
         """
@@ -422,7 +422,7 @@ def darkroom(tile: Tile, scratch: Path, *, flats: bool = False) -> Iterator[Dark
         )
 
 
-def bands(grid: PixelGrid, bytes_per_pixel: int) -> Iterator[tuple[int, int]]:
+def bands_of_grid(grid: PixelGrid, bytes_per_pixel: int) -> Iterator[tuple[int, int]]:
     """Cut a grid into bands of rows, as (start, stop), of `BAND_BYTES` or what the memory allows."""
     size = min(BAND_BYTES, band_memory() // SOLVING)
     rows = max(1, min(grid.rows, size // max(1, bytes_per_pixel * grid.columns)))

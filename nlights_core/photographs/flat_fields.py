@@ -187,7 +187,7 @@ def vignetting(
     return float(trust * found + (1 - trust) * UNKNOWN_LENS)
 
 
-def continued(reading: Array, x: Array, y: Array, step: float) -> FlatField:
+def extend_beyond_frame(reading: Array, x: Array, y: Array, step: float) -> FlatField:
     """Make a flat field from readings in the frame, continued past it.
 
     Outside, the logarithm follows a cubic polynomial fitted to the whole frame plus what the

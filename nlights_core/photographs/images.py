@@ -15,7 +15,7 @@ import numpy as np
 from nlights_core.capture import Encoding
 from nlights_core.errors import TileError
 from nlights_core.frames import Array
-from nlights_core.photographs.decoders import RAW_SATURATION, Decoder, damage_explained, is_raw, open_decoder
+from nlights_core.photographs.decoders import RAW_SATURATION, Decoder, explain_damage, is_raw, open_decoder
 
 LARGE_BYTES = 64 * 2**20
 """Decoded rows that must be kept together go to a scratch file when they are larger than this."""
@@ -189,7 +189,7 @@ class Photograph:
         """
         decoder = self._open()
         if decoder.fill is not None and out.flags.c_contiguous:
-            with damage_explained(self.path):
+            with explain_damage(self.path):
                 decoder.fill(start, stop, out)
             return
         for numbers in self._numbers(decoder, start, stop):
@@ -225,7 +225,7 @@ class Photograph:
         """The file's numbers in rows ``start`` to ``stop``, in one or more parts from the top."""
         while start < stop:
             if decoder.step == 1:
-                with damage_explained(self.path):
+                with explain_damage(self.path):
                     numbers = decoder.decode(start, stop)
             else:
                 block = self._block_around(decoder, start)
@@ -241,7 +241,7 @@ class Photograph:
             stop = min(start + decoder.step, decoder.rows)
             size = (stop - start) * decoder.columns * decoder.channels * decoder.dtype.itemsize
             scratch = self.scratch if size > LARGE_BYTES else None
-            with _decoding_large if scratch else nullcontext(), damage_explained(self.path):
+            with _decoding_large if scratch else nullcontext(), explain_damage(self.path):
                 block = decoder.decode(start, stop)
                 if scratch:
                     block = _moved_to_disk(block, scratch)
@@ -294,7 +294,7 @@ def linear_light(numbers: Array, saturation: float, transfer: str = "linear") ->
         numbers are divided by the largest of their type (1 for floats), and integers stay
         below 1.
     transfer : {"linear", "srgb"}
-        Tone curve that is undone after the division (`srgb_decoded`).
+        Tone curve that is undone after the division (`decode_srgb`).
 
     Returns
     -------
@@ -310,7 +310,7 @@ def linear_light(numbers: Array, saturation: float, transfer: str = "linear") ->
         light = _srgb_table(size, scale)[numbers]
     else:
         fraction = numbers / np.float64(scale)
-        light = (srgb_decoded(fraction) if transfer == "srgb" else fraction).astype(np.float32)
+        light = (decode_srgb(fraction) if transfer == "srgb" else fraction).astype(np.float32)
         light = np.where(fraction >= 1, np.maximum(light, np.float32(1)), np.minimum(light, _BELOW_ONE))
     return np.minimum(light, _BELOW_ONE) if unsigned and np.isinf(saturation) else light
 
@@ -321,7 +321,7 @@ def _srgb_table(itemsize: int, scale: float) -> Array:
     return linear_light(np.arange(256**itemsize, dtype=np.uint32), scale, "srgb")
 
 
-def srgb_decoded(encoded: Array) -> Array:
+def decode_srgb(encoded: Array) -> Array:
     """Undo the sRGB tone curve (IEC 61966-2-1, continued above 1).
 
     Light is v / 12.92 up to v = 0.04045 and ((v + 0.055) / 1.055)^2.4 above.
@@ -404,7 +404,9 @@ def is_saturated(band: Array) -> Array:
     return saturated
 
 
-def reduced(photograph: Photograph, factor: int, band_rows: int = 256, keep_saturated: bool = False) -> Array:
+def reduce_photograph(
+    photograph: Photograph, factor: int, band_rows: int = 256, keep_saturated: bool = False
+) -> Array:
     """Means of blocks of pixels, read in bands.
 
     Parameters

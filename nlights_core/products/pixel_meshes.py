@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from nlights_core import __version__
-from nlights_core.files.reduction import bands
+from nlights_core.files.reduction import bands_of_bytes
 from nlights_core.files.steady_files import SteadyFile
 from nlights_core.frames import Array, PixelGrid
 from nlights_core.machine.band_threads import in_order
@@ -78,7 +78,7 @@ def write_ply(
     """
     from nlights_core.products import compiled_meshes
 
-    places = list(bands(grid.rows, 15 * grid.columns))
+    places = list(bands_of_bytes(grid.rows, 15 * grid.columns))
     rows = [band.stop - band.start for band in places]
     beyond = [np.s_[band.start : band.stop + 1] for band in places]
     counts = list(in_order(lambda i: compiled_meshes.count(height[beyond[i]], rows[i]), range(len(places))))

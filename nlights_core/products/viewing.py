@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from nlights_core.files.reduction import bands
+from nlights_core.files.reduction import bands_of_bytes
 from nlights_core.files.tiffs import Compression, write_bands
 from nlights_core.frames import Array, PixelGrid
 from nlights_core.machine.band_threads import in_order
@@ -167,7 +167,7 @@ def write_normals_view(path: str | Path, normals: Array) -> None:
         When the file cannot be written.
     """
     with NormalsView(Path(path), *normals.shape[:2]) as view:
-        places = bands(len(normals), normals[:1].nbytes)
+        places = bands_of_bytes(len(normals), normals[:1].nbytes)
         for part in in_order(lambda band: NormalsView.part(normals[band]), places):
             view.write(part)
 
@@ -204,7 +204,7 @@ def write_albedo_view(
     description = "Albedo for viewing: sRGB (IEC 61966-2-1), clipped to 0..1, black where not known"
     write_bands(
         path,
-        in_order(seen, bands(grid.rows, albedo[:1].nbytes)),
+        in_order(seen, bands_of_bytes(grid.rows, albedo[:1].nbytes)),
         (*grid.shape, 3),
         np.uint16,
         grid,

@@ -116,7 +116,7 @@ def write_maps(
     OSError
         When the disk is full.
     """
-    places = list(reduction.bands(grid.rows, maps["normals"][:1].nbytes))
+    places = list(reduction.bands_of_bytes(grid.rows, maps["normals"][:1].nbytes))
     if not any(np.isfinite(maps["albedo"][band]).any() for band in places):
         raise TileError(
             "normals: not a single pixel has three usable lights; see the mask, the saturation level and "

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from nlights_core.files.reduction import bands
+from nlights_core.files.reduction import bands_of_bytes
 from nlights_core.frames import Array, PixelGrid
 from nlights_core.machine.band_threads import in_order
 
@@ -72,7 +72,7 @@ def _flat(band: Array) -> Array:
 
 def _added(sums: Callable[[slice], tuple[Any, Any]], array: Array) -> tuple[Any, Any]:
     """Two sums over all bands of rows, added in their order."""
-    found = list(in_order(sums, bands(array.shape[0], array[:1].nbytes)))
+    found = list(in_order(sums, bands_of_bytes(array.shape[0], array[:1].nbytes)))
     return sum(first for first, _ in found), sum(second for _, second in found)
 
 
@@ -100,7 +100,7 @@ def extremes(array: Array, of: Callable[[Array], Any] | None = None) -> tuple[fl
             float(np.max(values, where=known, initial=-np.inf)),
         )
 
-    found = list(in_order(ends, bands(array.shape[0], array[:1].nbytes)))
+    found = list(in_order(ends, bands_of_bytes(array.shape[0], array[:1].nbytes)))
     low, high = min(pair[0] for pair in found), max(pair[1] for pair in found)
     return (low, high) if low <= high else None
 
@@ -195,7 +195,7 @@ def relief(height: Array, grid: PixelGrid, level: float = 0.0) -> Relief | None:
         return *part, compiled_statistics.height_sums(height[band], level, x, y, *part)
 
     matrix, right, square = np.zeros((3, 3)), np.zeros(3), 0.0
-    for products, heights, squares in in_order(sums, bands(grid.rows, height[:1].nbytes)):
+    for products, heights, squares in in_order(sums, bands_of_bytes(grid.rows, height[:1].nbytes)):
         matrix += products
         right += heights
         square += squares

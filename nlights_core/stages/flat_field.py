@@ -13,9 +13,9 @@ from nlights_core.contracts import verbs
 from nlights_core.lamps.emission import check_stand, write_stand_check
 from nlights_core.machine.band_threads import in_order
 from nlights_core.machine.progress import Progress
-from nlights_core.photographs.block_means import block_means
+from nlights_core.photographs.block_means import average_blocks
 from nlights_core.photographs.development import darkroom
-from nlights_core.photographs.flat_fields import block_size, continued, vignetting, write_flat_field
+from nlights_core.photographs.flat_fields import block_size, extend_beyond_frame, vignetting, write_flat_field
 from nlights_core.photographs.headers import grid_of, survey
 from nlights_core.photographs.noise import write_noise
 from nlights_core.stages.inputs import FLATS, facts_of_photographs, read_lights, size
@@ -54,14 +54,14 @@ def flat_field(store: Store, tile: Tile, detrend: ImageDetrend, lights: Artefact
         flats = None
         if "flats" in detrend.needs:
             with store.scratch() as scratch, darkroom(tile, scratch, flats=True) as room:
-                means = block_means(room, block, ROWS, progress)
+                means = average_blocks(room, block, ROWS, progress)
                 flats = means.images / field.power.astype(np.float32)[:, None, None, :]
                 flats[means.saturated] = np.nan
                 write_noise(folder, room.noise)
 
         def measured() -> None:
             reading = verbs.flat_field(detrend, flats, field, x, y, info.channels)
-            found = continued(reading, x, y, block * grid.pixel_size)
+            found = extend_beyond_frame(reading, x, y, block * grid.pixel_size)
             if flats is not None and grid.camera is not None and field.near:
                 lens = vignetting(reading, field, x, y, grid.camera)
                 found = replace(found, camera=grid.camera, vignetting=lens)

@@ -13,7 +13,7 @@ from nlights_core.machine.band_threads import in_order
 from nlights_core.machine.progress import Progress
 from nlights_core.near_light import levelling
 from nlights_core.near_light.levelling import Level, read_level, write_level
-from nlights_core.photographs.development import bands, darkroom
+from nlights_core.photographs.development import bands_of_grid, darkroom
 from nlights_core.photographs.flat_fields import read_flat_field
 from nlights_core.photographs.noise import read_noise
 from nlights_core.stages.inputs import facts_of_photographs, read_lights
@@ -56,7 +56,7 @@ def level(
             return np.asarray(before[slice(*rows)] + np.float32(found.offset))
 
         with BandWriter(folder / "height.npy", before.shape) as file:
-            for rows in in_order(raised, bands(grid, 48)):
+            for rows in in_order(raised, bands_of_grid(grid, 48)):
                 file.write(rows)
 
     return Work(ref, record, make)

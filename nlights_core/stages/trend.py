@@ -10,7 +10,7 @@ from nlights_core.contracts import verbs
 from nlights_core.fields import HeightMap
 from nlights_core.files.arrays import BandWriter, read_array, write_array
 from nlights_core.machine.progress import Progress
-from nlights_core.photographs.development import bands
+from nlights_core.photographs.development import bands_of_grid
 from nlights_core.photographs.headers import grid_of, survey
 from nlights_core.store import ArtefactRef, Store, Work, describe
 
@@ -30,7 +30,7 @@ def trend(store: Store, tile: Tile, detrend: HeightDetrend, height: ArtefactRef)
         removed = verbs.trend(detrend, HeightMap(before, grid))
         write_array(folder / "trend.npy", removed)
         with BandWriter(folder / "height.npy", before.shape) as file:
-            for start, stop in bands(grid, 12):
+            for start, stop in bands_of_grid(grid, 12):
                 file.write(before[start:stop] - removed[start:stop])
 
     return Work(ref, record, make)

@@ -18,7 +18,7 @@ from nlights_core.errors import CaptureError
 from nlights_core.files.tiffs import read_tiff
 from nlights_core.frames import Array
 from nlights_core.manifest import load_capture
-from nlights_core.photographs.images import Photograph, grey, reduced
+from nlights_core.photographs.images import Photograph, grey, reduce_photograph
 from nlights_core.store import write_whole
 from nlights_flows.tiles.digitise import digitise
 
@@ -218,7 +218,7 @@ def levels(photographs: Mapping[str, Path], tile: Tile) -> dict[str, float]:
 def _level(path: Path, tile: Tile) -> float:
     with Photograph(path, tile.encoding) as photograph:
         block = min(BLOCK, photograph.info.rows, photograph.info.columns)
-        return float(np.median(grey(reduced(photograph, block, keep_saturated=True))))
+        return float(np.median(grey(reduce_photograph(photograph, block, keep_saturated=True))))
 
 
 def last_check(folder: Path, tile: Tile) -> dict[str, Any] | None:

@@ -12,7 +12,7 @@ import numpy as np
 from nlights_core.capture import Tile
 from nlights_core.errors import NlightsError
 from nlights_core.fields import LightField
-from nlights_core.photographs.development import Exposure, bands, darkroom
+from nlights_core.photographs.development import Exposure, bands_of_grid, darkroom
 from nlights_core.recipe import Recipe
 from nlights_flows.tiles.running import require_memory
 
@@ -97,7 +97,7 @@ def _read(
     with tempfile.TemporaryDirectory() as scratch, darkroom(tile, Path(scratch), flats=flats) as room:
         info, grid = room.info, room.grid
         finding.size = f"{info.columns} x {info.rows} px, {info.channels} x {info.dtype}"
-        for start, stop in bands(grid, len(lamps) * info.channels * 8):
+        for start, stop in bands_of_grid(grid, len(lamps) * info.channels * 8):
             room.raw(start, stop, neutral)
             progress(stop / grid.rows)
         if not flats:

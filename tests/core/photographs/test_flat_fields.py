@@ -11,7 +11,7 @@ from nlights_core.fields import LightField
 from nlights_core.frames import PixelGrid
 from nlights_core.photographs.flat_fields import (
     block_size,
-    continued,
+    extend_beyond_frame,
     natural_vignetting,
     read_flat_field,
     vignetting,
@@ -36,7 +36,7 @@ def lensed_flat_field():
     x, y = GRID.block_centres(block)
     points = np.stack([*np.meshgrid(x, y), np.zeros((len(y), len(x)))])
     lights = horizontal()
-    return lights, continued(lights.vectors(points)[..., 2:], x, y, block * GRID.pixel_size)
+    return lights, extend_beyond_frame(lights.vectors(points)[..., 2:], x, y, block * GRID.pixel_size)
 
 
 def test_inside_the_frame_the_flat_field_is_what_was_given():
@@ -122,7 +122,9 @@ def test_vignetting_of_a_single_lamp_or_of_lamps_that_disagree_is_hardly_believe
 def test_the_lamps_light_is_read_at_its_foot_but_the_lens_at_the_pixel():
     lights, bare, reading, x, y = photographed(1.0)
     lens = vignetting(reading, bare, x, y, CAMERA)
-    flat_field = replace(continued(reading, x, y, 5 * GRID.pixel_size), camera=CAMERA, vignetting=lens)
+    flat_field = replace(
+        extend_beyond_frame(reading, x, y, 5 * GRID.pixel_size), camera=CAMERA, vignetting=lens
+    )
     pixels = GRID.points(0, GRID.rows)[:, 150:-150:50, 150:-150:50]
     points = GRID.points(0, GRID.rows, np.full(GRID.shape, 8.0))[:, 150:-150:50, 150:-150:50]
     feet = lights.plane_points(points)
@@ -136,11 +138,11 @@ def test_holes_are_bridged_and_a_flat_field_mostly_unknown_is_refused():
     x, y = GRID.block_centres(4)
     reading = np.ones((1, len(y), len(x), 1), np.float32)
     reading[0, 10:20, 10:20] = np.nan
-    flat_field = continued(reading, x, y, 2.0)
+    flat_field = extend_beyond_frame(reading, x, y, 2.0)
     np.testing.assert_allclose(flat_field.logarithm, 0, atol=1e-6)
     reading[0, :, : 2 * len(x) // 3] = np.nan
     with pytest.raises(TileError, match="lamp 1"):
-        continued(reading, x, y, 2.0)
+        extend_beyond_frame(reading, x, y, 2.0)
 
 
 @pytest.mark.parametrize("camera", [None, (0.5, -0.1, 1542.25)])

@@ -18,11 +18,11 @@ from nlights_core.errors import TileError
 from nlights_core.photographs.images import (
     LARGE_BYTES,
     Photograph,
+    decode_srgb,
     grey,
     is_saturated,
     linear_light,
     probe,
-    srgb_decoded,
     superpixels,
 )
 
@@ -230,7 +230,7 @@ def test_the_srgb_curve_has_its_published_values():
     # IEC 61966-2-1: the linear part, the point where the parts meet, and two 8-bit codes.
     codes = np.array([0.0, 10 / 255, 0.04045, 128 / 255, 188 / 255, 1.0])
     published = [0.0, 0.0030352698, 0.0031308, 0.2158605, 0.5028865, 1.0]
-    np.testing.assert_allclose(srgb_decoded(codes), published, rtol=1e-5)
+    np.testing.assert_allclose(decode_srgb(codes), published, rtol=1e-5)
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
@@ -238,7 +238,7 @@ def test_srgb_is_undone_after_dividing_by_the_saturation(dtype):
     values = numbers(dtype)
     light = linear_light(values, FULL[dtype] * 0.75, "srgb")
     encoded = values.astype(np.float64) / (FULL[dtype] * 0.75)
-    np.testing.assert_allclose(light, srgb_decoded(encoded), rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(light, decode_srgb(encoded), rtol=1e-6, atol=1e-12)
     np.testing.assert_array_equal(light >= 1, values >= FULL[dtype] * 0.75)
     # The inverse curve brings the numbers back.
     again = np.where(

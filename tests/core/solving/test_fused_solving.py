@@ -14,7 +14,7 @@ from nlights_core.fields import LightField
 from nlights_core.machine import kernel_switch
 from nlights_core.manifest import load_capture
 from nlights_core.photographs.development import darkroom
-from nlights_core.photographs.flat_fields import FlatField, continued
+from nlights_core.photographs.flat_fields import FlatField, extend_beyond_frame
 from nlights_core.simulation.captures import simulate
 from nlights_core.solving import band_solving as solving
 from nlights_core.solving import fused_solving, kernels, least_squares
@@ -59,7 +59,7 @@ def flat_field(tile, channels: int = 3) -> FlatField:
     points = np.stack([*np.meshgrid(x, y), np.zeros((46, 62))])
     lamps = LightField(tile.lamps, positions=STAND.lamp_positions())
     reading = 0.4 * lamps.vectors(points)[..., 2:] * np.array([1, 0.9, 0.7])[:channels]
-    found = continued(reading.astype(np.float32), x, y, float(x[1] - x[0]))
+    found = extend_beyond_frame(reading.astype(np.float32), x, y, float(x[1] - x[0]))
     return FlatField(found.logarithm, found.left, found.top, found.step, (20.0, -10.0, 1500.0), 0.7)
 
 
