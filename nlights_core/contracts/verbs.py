@@ -50,7 +50,7 @@ def locate(model: LightModel, tile: Tile, read: Read) -> LightField:
     TileError
         As the model raises it, or naming the model when it fails or breaks its contract.
     """
-    with named(model):
+    with name_in_faults(model):
         found = model.locate(tile, read)
     return checked_lights(model, found, tile)
 
@@ -74,7 +74,7 @@ def flat_field(
     TileError
         As for `locate`.
     """
-    with named(detrend):
+    with name_in_faults(detrend):
         found = detrend.flat_field(lent(flats), lent(lights), lent(x), lent(y))
     return checked_flat_field(detrend, found, (len(lights.lamps), len(y), len(x)), channels)
 
@@ -87,7 +87,7 @@ def solve(solver: NormalSolver, images: Array, lights: Array, weights: Array) ->
     TileError
         As for `locate`.
     """
-    with named(solver):
+    with name_in_faults(solver):
         found = solver.solve(lent(images), lent(lights), lent(weights))
     return checked_solution(solver, found, images.shape)
 
@@ -100,7 +100,7 @@ def bias(detrend: NormalDetrend, reference: NormalField) -> Array:
     TileError
         As for `locate`.
     """
-    with named(detrend):
+    with name_in_faults(detrend):
         found = detrend.bias(lent(reference))
     return checked_bias(detrend, found, reference.grid.shape)
 
@@ -119,7 +119,7 @@ def integrate(integrator: Integrator, normals: NormalField) -> Array:
         As for `locate`; also when the height's steps are not those of the normals, see
         `nlights_core.contracts.verification.check_slopes`.
     """
-    with named(integrator):
+    with name_in_faults(integrator):
         found = integrator.integrate(lent(normals))
     height = checked_height(integrator, found, normals.grid.shape)
     check_slopes(integrator, height, normals)
@@ -134,7 +134,7 @@ def trend(detrend: HeightDetrend, height: HeightMap) -> Array:
     TileError
         As for `locate`.
     """
-    with named(detrend):
+    with name_in_faults(detrend):
         found = detrend.trend(lent(height))
     return checked_trend(detrend, found, height.height)
 
@@ -161,7 +161,7 @@ def lent(value: Lent) -> Lent:
 
 
 @contextmanager
-def named(algorithm: Algorithm) -> Iterator[None]:
+def name_in_faults(algorithm: Algorithm) -> Iterator[None]:
     """Name slot, name and distribution of an algorithm in whatever it raises while it works.
 
     What says itself what to do passes: faults of nLights, of the system, and a lack of memory.

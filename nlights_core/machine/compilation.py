@@ -51,7 +51,7 @@ def so_far() -> Compilation:
 
 
 @contextmanager
-def told(listener: Told) -> Iterator[None]:
+def call_on_compiling(listener: Told) -> Iterator[None]:
     """Call a function, from any thread, whenever a loop is about to be compiled while the block lasts."""
     _listeners.append(listener)
     try:

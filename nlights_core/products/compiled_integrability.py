@@ -18,7 +18,7 @@ BEFORE, AFTER = 2, 3
 
 
 @kernel
-def slopes(
+def steps_of_normals(
     normals: Array, size: float, cosine: float, x: Array, y: Array, across: Array, down: Array
 ) -> None:
     """Height steps per column and per row of normals (n, W, 3), along the camera's rays.
@@ -76,11 +76,11 @@ def _height_step(first: float, second: float, distance: float) -> float:
 
 
 @kernel
-def surplus(slope: Array, height: Array, distance: float, rise: int, out: Array) -> None:
+def subtract_height_steps(slope: Array, height: Array, distance: float, rise: int, out: Array) -> None:
     """Surplus of slopes over the height's own steps, between the pixels; 0 where not known.
 
     With ``rise`` 0 the steps go from column to column: ``slope`` (n, BEFORE + W + AFTER) is
-    ``across`` of `slopes`, ``out`` (n, 3 + W + 2) float32.  With 1 they go from row to row:
+    ``across`` of `steps_of_normals`, ``out`` (n, 3 + W + 2) float32.  With 1 they go from row to row:
     ``slope`` (BEFORE + n + AFTER, W) is ``down``, ``out`` (3 + n + 2, W).  The margins of ``out`` are
     0: no step crosses a border.  ``height`` is (n, W) float32, ``distance`` the camera's, 0 without
     perspective.
@@ -120,7 +120,7 @@ def surplus(slope: Array, height: Array, distance: float, rise: int, out: Array)
 
 
 @kernel
-def corrected(
+def correct_normals(
     normals: Array,
     across: Array,
     down: Array,

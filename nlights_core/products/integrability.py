@@ -68,11 +68,11 @@ def integrable_normals(
     across, beside = (np.empty((rows, columns + margin), np.float32) for _ in range(2))
     down, below = (np.empty((rows + margin, columns), np.float32) for _ in range(2))
     cosine = float(np.cos(np.radians(STEEPEST_DEG)))
-    kernels.slopes(around, grid.pixel_size, cosine, x, y, across, down)
-    kernels.surplus(across, surface, distance, 0, beside)
-    kernels.surplus(down, surface, distance, 1, below)
+    kernels.steps_of_normals(around, grid.pixel_size, cosine, x, y, across, down)
+    kernels.subtract_height_steps(across, surface, distance, 0, beside)
+    kernels.subtract_height_steps(down, surface, distance, 1, below)
     out = np.empty((stop - start, columns, 3), np.float32)
-    kernels.corrected(around, across, down, beside, below, grid.pixel_size, x, y, out, start - first)
+    kernels.correct_normals(around, across, down, beside, below, grid.pixel_size, x, y, out, start - first)
     return out
 
 

@@ -48,7 +48,7 @@ def known_sum(values: Array) -> tuple[float, int]:
 
 
 @kernel
-def counts(values: Array, least: int) -> tuple[int, int]:
+def sum_counts(values: Array, least: int) -> tuple[int, int]:
     """Sum of whole numbers (N,), and how many are at least ``least``."""
     total, enough = np.zeros(LANES, np.int64), np.zeros(LANES, np.int64)
     for start in range(0, values.size, LANES):
@@ -103,7 +103,7 @@ def inclinations(normals: Array) -> tuple[float, int]:
 
 
 @kernel
-def misclosure(normals: Array, steepest: np.float32) -> tuple[float, int]:
+def sum_misclosures(normals: Array, steepest: np.float32) -> tuple[float, int]:
     """Sum of the squares, and number, of `map_statistics.misclosure` over (n, W, 3), per pixel size.
 
     Slopes are limited to ``steepest``, as in `NormalField.gradient`.

@@ -40,13 +40,13 @@ def mean_of(array: Array) -> float | None:
     return float(total / known) if known else None
 
 
-def counts(array: Array, least: int = 1) -> tuple[float, float] | None:
+def summarise_counts(array: Array, least: int = 1) -> tuple[float, float] | None:
     """Mean of whole numbers (H, W), and the share of them that are at least ``least``; None without any."""
     from nlights_core.report import compiled_statistics
 
     if not array.size:
         return None
-    total, enough = _added(lambda band: compiled_statistics.counts(_flat(array[band]), least), array)
+    total, enough = _added(lambda band: compiled_statistics.sum_counts(_flat(array[band]), least), array)
     return total / array.size, enough / array.size
 
 
@@ -146,7 +146,7 @@ def misclosure(normals: Array, grid: PixelGrid) -> float | None:
     def squares(band: slice) -> tuple[float, int]:
         # One row more: its squares with the band's last.
         part = np.ascontiguousarray(normals[band.start : band.stop + 1])
-        return compiled_statistics.misclosure(part, np.float32(STEEPEST))
+        return compiled_statistics.sum_misclosures(part, np.float32(STEEPEST))
 
     total, count = _added(squares, normals)
     return float(grid.pixel_size * np.sqrt(total / count)) if count else None

@@ -12,12 +12,12 @@ from nlights_core.frames import Array, PixelGrid
 from nlights_core.report.figures import NOT_IN_RECIPE, NOT_MEASURED, Number
 from nlights_core.report.map_statistics import (
     bias_angle,
-    counts,
     extremes,
     inclination,
     mean_of,
     misclosure,
     relief,
+    summarise_counts,
     unevenness,
 )
 
@@ -117,7 +117,7 @@ def _fit(maps: Mapping[str, Array], grid: PixelGrid) -> list[Number]:
 
 def _share(array: Array | None) -> float | None:
     """Percentage of the pixels whose count is not 0."""
-    found = None if array is None else counts(array)
+    found = None if array is None else summarise_counts(array)
     return None if found is None else 100 * found[1]
 
 
@@ -126,7 +126,7 @@ def _lights(maps: Mapping[str, Array], known: float | None) -> list[Number]:
     group, used = "Light", maps.get("used")
     stacks = [len(maps[name]) for name in ("flat_field", "frames") if name in maps]
     lamps = stacks[0] if stacks else int(used.max()) if used is not None and used.size else 0
-    served = None if used is None else counts(used, lamps)
+    served = None if used is None else summarise_counts(used, lamps)
     mean, every = served or (None, None)
     return [
         Number(group, "Known share", known, "% of pixels", "Where the surface could be measured at all."),

@@ -14,8 +14,8 @@ from nlights_core.testing.algorithms import (
     GRID,
     HILLS,
     AlgorithmContract,
-    check,
-    check_array,
+    expect,
+    expect_array,
     holed,
 )
 
@@ -43,7 +43,7 @@ class IntegratorContract(AlgorithmContract):
         """Height that the algorithm makes of normals, once its shape is known to be right."""
         found = self.algorithm.integrate(normals).height
         shape = normals.grid.shape
-        check(found.shape == shape, f"height must have the shape {shape}, not {found.shape}")
+        expect(found.shape == shape, f"height must have the shape {shape}, not {found.shape}")
         return found
 
     def error(self, surface: Surface, grid: PixelGrid = GRID) -> float:
@@ -54,25 +54,25 @@ class IntegratorContract(AlgorithmContract):
     def test_a_tilted_plane_is_recovered_in_mm_with_y_up(self) -> None:
         """A plane is lost by periodic transforms, and shows the signs of x and y."""
         error = self.error(plane(slope_x=0.05, slope_y=-0.03))
-        check(error <= self.tolerance_mm, f"plane wrong by {error:.3g} mm")
+        expect(error <= self.tolerance_mm, f"plane wrong by {error:.3g} mm")
 
     def test_smooth_hills_are_recovered_in_mm(self) -> None:
         """Hills and hollows at unequal places show every flip."""
         error = self.error(HILLS)
-        check(error <= self.tolerance_mm, f"hills wrong by {error:.3g} mm")
+        expect(error <= self.tolerance_mm, f"hills wrong by {error:.3g} mm")
 
     def test_hills_under_a_perspective_camera_are_recovered(self) -> None:
         """Real stands have a camera at a finite distance."""
         error = self.error(HILLS, PixelGrid(48, 64, 0.5, camera=(15.0, -10.0, 80.0)))
-        check(error <= self.perspective_tolerance_mm, f"hills in perspective wrong by {error:.3g} mm")
+        expect(error <= self.perspective_tolerance_mm, f"hills in perspective wrong by {error:.3g} mm")
 
     def test_the_height_is_float32_on_the_same_grid_with_mean_0(self) -> None:
         """The constant is free; by agreement the mean over what is known is 0."""
         found = self.algorithm.integrate(normal_field(HILLS, GRID))
-        check_array(found.height, GRID.shape, "height")
-        check(found.grid == GRID, "the grid must be that of the normals")
+        expect_array(found.height, GRID.shape, "height")
+        expect(found.grid == GRID, "the grid must be that of the normals")
         mean = abs(float(found.height.mean(dtype=np.float64)))
-        check(mean < 1e-4, f"the mean must be 0, not {mean:.3g} mm")
+        expect(mean < 1e-4, f"the mean must be 0, not {mean:.3g} mm")
 
     def test_unknown_stays_unknown_and_does_not_spread(self) -> None:
         """NaN is a mask."""
@@ -80,22 +80,22 @@ class IntegratorContract(AlgorithmContract):
         hole = holed(GRID.shape)
         normals[hole] = np.nan
         found = self.height(NormalField(normals, GRID))
-        check(np.isnan(found[hole]).all(), "height was invented where no normal is known")
-        check(np.isfinite(found[~hole]).all(), "NaN spread to where the normal is known")
+        expect(np.isnan(found[hole]).all(), "height was invented where no normal is known")
+        expect(np.isfinite(found[~hole]).all(), "NaN spread to where the normal is known")
         mean = abs(float(found[~hole].mean(dtype=np.float64)))
-        check(mean < 1e-4, f"the mean over what is known must be 0, not {mean:.3g} mm")
+        expect(mean < 1e-4, f"the mean over what is known must be 0, not {mean:.3g} mm")
 
     def test_normals_are_not_overwritten(self) -> None:
         """The normals are used again for the maps."""
         normals = normal_field(HILLS, GRID)
         before = normals.normals.copy()
         self.algorithm.integrate(normals)
-        check(np.array_equal(normals.normals, before), "the normals were overwritten")
+        expect(np.array_equal(normals.normals, before), "the normals were overwritten")
 
     def test_twice_the_same(self) -> None:
         """The store takes equal keys for equal results."""
         first, second = (self.height(normal_field(HILLS, GRID)) for _ in range(2))
-        check(np.array_equal(first, second), "two runs differ")
+        expect(np.array_equal(first, second), "two runs differ")
 
 
 class HeightDetrendContract(AlgorithmContract):
@@ -121,7 +121,7 @@ class HeightDetrendContract(AlgorithmContract):
         height = height_map(self.deformation, GRID)
         left = height.height - self.algorithm.trend(height)
         error = float(np.abs(left - left.mean()).max())
-        check(error <= self.tolerance_mm, f"the trend is wrong by {error:.3g} mm")
+        expect(error <= self.tolerance_mm, f"the trend is wrong by {error:.3g} mm")
 
     def test_fine_relief_is_left_to_the_artwork(self) -> None:
         """A wave of 0.1 mm and 6 pixels is no deformation."""
@@ -129,7 +129,7 @@ class HeightDetrendContract(AlgorithmContract):
         trend = self.algorithm.trend(height)
         error = trend - height_map(self.deformation, GRID).height
         worst = float(np.abs(error - error.mean()).max())
-        check(worst <= self.tolerance_mm + 0.02, f"{worst:.3g} mm of a fine wave went into the trend")
+        expect(worst <= self.tolerance_mm + 0.02, f"{worst:.3g} mm of a fine wave went into the trend")
 
     def test_the_trend_is_float32_and_finite_where_the_height_is_not_known(self) -> None:
         """It can be added back everywhere."""
@@ -137,15 +137,15 @@ class HeightDetrendContract(AlgorithmContract):
         truth = height.height.copy()
         height.height[holed(GRID.shape)] = np.nan
         trend = self.algorithm.trend(height)
-        check_array(trend, GRID.shape, "trend")
-        check(np.isfinite(trend).all(), "the trend must be finite everywhere")
+        expect_array(trend, GRID.shape, "trend")
+        expect(np.isfinite(trend).all(), "the trend must be finite everywhere")
         error = float(np.ptp(truth - trend))
-        check(error <= 4 * self.tolerance_mm, f"unknown pixels bend the trend by {error:.3g} mm")
+        expect(error <= 4 * self.tolerance_mm, f"unknown pixels bend the trend by {error:.3g} mm")
 
     def test_the_height_is_not_overwritten_and_the_trend_repeats(self) -> None:
         """The height is used again; equal keys mean equal results."""
         height = height_map(self.deformation, GRID)
         before = height.height.copy()
         first = self.algorithm.trend(height)
-        check(np.array_equal(height.height, before), "the height was overwritten")
-        check(np.array_equal(first, self.algorithm.trend(HeightMap(before, GRID))), "two runs differ")
+        expect(np.array_equal(height.height, before), "the height was overwritten")
+        expect(np.array_equal(first, self.algorithm.trend(HeightMap(before, GRID))), "two runs differ")

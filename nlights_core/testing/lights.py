@@ -14,7 +14,7 @@ from nlights_core.fields import LightField
 from nlights_core.frames import Array, PixelGrid
 from nlights_core.simulation.evaluation import angles_between
 from nlights_core.simulation.scenes import synthetic_stand
-from nlights_core.testing.algorithms import AlgorithmContract, check
+from nlights_core.testing.algorithms import AlgorithmContract, expect
 
 
 class LightModelContract(AlgorithmContract):
@@ -78,28 +78,28 @@ class LightModelContract(AlgorithmContract):
         """Find them in the plane frame, whatever axes the stand was measured in."""
         tile = self.tile()
         found = self.algorithm.locate(tile, self.read)
-        check(found.lamps == tile.lamps, f"lamps must be in the order of the frames, not {found.lamps}")
+        expect(found.lamps == tile.lamps, f"lamps must be in the order of the frames, not {found.lamps}")
         places = found.positions if found.positions is not None else found.directions
         assert places is not None
         error = float(angles_between(places, self.true_directions()).max())
-        check(error <= self.tolerance_deg, f"a lamp's direction is wrong by {error:.3g} degrees")
+        expect(error <= self.tolerance_deg, f"a lamp's direction is wrong by {error:.3g} degrees")
 
     def test_calibration_is_float64_and_directions_are_unit_vectors(self) -> None:
         """Pixels are float32, calibration is float64."""
         found = self.algorithm.locate(self.tile(), self.read)
         for what in ("positions", "directions", "axes", "exponents", "power", "ambient"):
             array = getattr(found, what)
-            check(array is None or array.dtype == np.float64, f"{what} must be float64")
+            expect(array is None or array.dtype == np.float64, f"{what} must be float64")
         for what, units in (("directions", found.directions), ("axes", found.axes)):
             unit = units is None or np.abs(np.linalg.norm(units, axis=1) - 1).max() < 1e-9
-            check(unit, f"{what} must be unit vectors")
-        check((found.power > 0).all(), "powers must be positive")
+            expect(unit, f"{what} must be unit vectors")
+        expect((found.power > 0).all(), "powers must be positive")
 
     def test_the_record_of_the_lamps_reads_back_and_repeats(self) -> None:
         """The light field is stored as JSON; equal keys mean equal results."""
         first, second = (self.algorithm.locate(self.tile(), self.read).record() for _ in range(2))
-        check(first == second, "two runs differ")
-        check(LightField.from_record(first).record() == first, "the record does not read back")
+        expect(first == second, "two runs differ")
+        expect(LightField.from_record(first).record() == first, "the record does not read back")
 
     def test_a_tile_that_lacks_what_the_model_needs_is_refused(self) -> None:
         """Raise `TileError`, so that the other tiles go on."""
@@ -107,9 +107,9 @@ class LightModelContract(AlgorithmContract):
         try:
             self.algorithm.locate(bare, self.read)
         except TileError as fault:
-            check(len(str(fault)) > 0, "the fault must say what is missing")
+            expect(len(str(fault)) > 0, "the fault must say what is missing")
         else:
-            check(False, "lamps were invented for a tile that does not describe them")
+            expect(False, "lamps were invented for a tile that does not describe them")
 
 
 class ImageDetrendContract(AlgorithmContract):
@@ -147,7 +147,7 @@ class ImageDetrendContract(AlgorithmContract):
         """The flat field is the true one but for a factor that all lamps share."""
         ratio = (flat_field / self.true_flat_field())[where]
         error = float(np.abs(ratio / np.median(ratio) - 1).max())
-        check(error <= self.tolerance, f"the flat field is wrong by {100 * error:.3g} %")
+        expect(error <= self.tolerance, f"the flat field is wrong by {100 * error:.3g} %")
 
     def test_the_flat_field_is_that_of_the_lamps_but_for_a_common_factor(self) -> None:
         """Powers of the lamps relative to each other decide the normals."""
@@ -158,13 +158,13 @@ class ImageDetrendContract(AlgorithmContract):
         """The images are divided by it."""
         flats = self.true_flat_field()
         flat_field = self.flat_field(flats)
-        check(flat_field.dtype == np.float32, f"the flat field must be float32, not {flat_field.dtype}")
+        expect(flat_field.dtype == np.float32, f"the flat field must be float32, not {flat_field.dtype}")
         shapes = (flats.shape, (*flats.shape[:3], 1))
-        check(
+        expect(
             flat_field.shape in shapes,
             f"the flat field must have one of the shapes {shapes}, not {flat_field.shape}",
         )
-        check((flat_field > 0).all(), "the flat field must be positive")
+        expect((flat_field > 0).all(), "the flat field must be positive")
 
     def test_saturated_places_of_a_flat_do_not_spread(self) -> None:
         """Bridge the flat field there, at most five times less exactly, or give NaN; elsewhere it is right."""
@@ -172,18 +172,18 @@ class ImageDetrendContract(AlgorithmContract):
         flats[2, 20:22, 30:32] = np.nan
         flat_field = np.broadcast_to(self.flat_field(flats), flats.shape)
         known = np.isfinite(flats)
-        check(np.isfinite(flat_field[known]).all(), "NaN spread to where the flat is known")
+        expect(np.isfinite(flat_field[known]).all(), "NaN spread to where the flat is known")
         self.check_flat_field(flat_field, known)
         bridged = (flat_field / self.true_flat_field())[~known] / np.median(
             (flat_field / self.true_flat_field())[known]
         )
         error = float(np.abs(bridged[np.isfinite(bridged)] - 1).max(initial=0))
-        check(error <= 5 * self.tolerance, f"the flat field was bridged wrongly, by {100 * error:.3g} %")
+        expect(error <= 5 * self.tolerance, f"the flat field was bridged wrongly, by {100 * error:.3g} %")
 
     def test_flats_are_not_overwritten_and_the_flat_field_repeats(self) -> None:
         """Flats serve every tile; equal keys mean equal results."""
         flats = self.true_flat_field()
         before = flats.copy()
         first = self.flat_field(flats)
-        check(np.array_equal(flats, before), "the flats were overwritten")
-        check(np.array_equal(first, self.flat_field(before)), "two runs differ")
+        expect(np.array_equal(flats, before), "the flats were overwritten")
+        expect(np.array_equal(first, self.flat_field(before)), "two runs differ")

@@ -13,7 +13,7 @@ from nlights_core.frames import Array, PixelGrid
 from nlights_core.simulation.evaluation import angles_between
 from nlights_core.simulation.scenes import synthetic_stand
 from nlights_core.simulation.surfaces import Surface, bow, height_map, normal_field, plane, wave
-from nlights_core.testing.algorithms import GRID, AlgorithmContract, check, check_array, holed
+from nlights_core.testing.algorithms import GRID, AlgorithmContract, expect, expect_array, holed
 
 
 class NormalSolverContract(AlgorithmContract):
@@ -66,10 +66,10 @@ class NormalSolverContract(AlgorithmContract):
         """Check normals and albedo against the truth, where ``where`` is true."""
         chosen = np.ones(self.grid.shape, bool) if where is None else where
         angles = angles_between(found.normals, self.true_normals())[chosen]
-        check(np.isfinite(angles).all(), "normals are unknown that follow from the images")
-        check(angles.max() <= self.tolerance_deg, f"normals wrong by {angles.max():.3g} degrees")
+        expect(np.isfinite(angles).all(), "normals are unknown that follow from the images")
+        expect(angles.max() <= self.tolerance_deg, f"normals wrong by {angles.max():.3g} degrees")
         ratio = found.albedo[chosen] / self.true_albedo()[chosen]
-        check(np.abs(ratio - 1).max() < 2e-3, f"albedo wrong by a factor up to {ratio.max():.3g}")
+        expect(np.abs(ratio - 1).max() < 2e-3, f"albedo wrong by a factor up to {ratio.max():.3g}")
 
     def test_normals_and_albedo_are_exact_under_near_lamps(self) -> None:
         """Each pixel has lights of its own."""
@@ -84,14 +84,14 @@ class NormalSolverContract(AlgorithmContract):
         images, lights, weights = self.lit()
         found = self.algorithm.solve(images, lights, weights)
         shape = self.grid.shape
-        check_array(found.normals, (*shape, 3), "normals")
-        check_array(found.albedo, shape, "albedo")
-        check_array(found.confidence, shape, "confidence")
-        check_array(found.weights, images.shape, "weights")
+        expect_array(found.normals, (*shape, 3), "normals")
+        expect_array(found.albedo, shape, "albedo")
+        expect_array(found.confidence, shape, "confidence")
+        expect_array(found.weights, images.shape, "weights")
         length = np.linalg.norm(found.normals, axis=-1)
-        check(np.abs(length - 1).max() < 1e-5, "normals must be unit vectors")
-        check((found.confidence >= 0).all(), "the confidence is an angle, and must not be negative")
-        check((found.weights >= 0).all(), "weights must not be negative")
+        expect(np.abs(length - 1).max() < 1e-5, "normals must be unit vectors")
+        expect((found.confidence >= 0).all(), "the confidence is an angle, and must not be negative")
+        expect((found.weights >= 0).all(), "weights must not be negative")
 
     def test_the_confidence_covers_68_percent_of_the_errors(self) -> None:
         """Degrees, under the photon noise that weights of 1 state."""
@@ -101,7 +101,7 @@ class NormalSolverContract(AlgorithmContract):
         found = self.algorithm.solve(noisy, lights, weights)
         angles = angles_between(found.normals, np.concatenate([self.true_normals()] * 10))
         share = float(np.mean(angles <= found.confidence))
-        check(abs(share - 0.68) < 0.1, f"the confidence covers {share:.0%} of the errors, not 68 %")
+        expect(abs(share - 0.68) < 0.1, f"the confidence covers {share:.0%} of the errors, not 68 %")
 
     def test_samples_of_weight_0_are_not_used(self) -> None:
         """Let neither a saturated value nor NaN leak through a weight of 0."""
@@ -110,15 +110,15 @@ class NormalSolverContract(AlgorithmContract):
         images[6, 7], weights[6, 7] = np.nan, 0.0
         found = self.algorithm.solve(images, lights, weights)
         self.check_exact(found)
-        check((found.weights[1, 4] == 0).all(), "a discarded sample was given a weight")
-        check((found.weights[6, 7] == 0).all(), "a discarded sample was given a weight")
+        expect((found.weights[1, 4] == 0).all(), "a discarded sample was given a weight")
+        expect((found.weights[6, 7] == 0).all(), "a discarded sample was given a weight")
 
     def test_fewer_than_three_lights_give_nan_and_only_there(self) -> None:
         """Give NaN, never a guess."""
         images, lights, weights = self.lit()
         weights[2:, 5, 3] = 0
         found = self.algorithm.solve(images, lights, weights)
-        check(np.isnan(found.normals[5, 3]).all(), "a normal was guessed from two lights")
+        expect(np.isnan(found.normals[5, 3]).all(), "a normal was guessed from two lights")
         others = np.ones(self.grid.shape, bool)
         others[5, 3] = False
         self.check_exact(found, others)
@@ -130,14 +130,14 @@ class NormalSolverContract(AlgorithmContract):
         lights[:, 0, 0] = np.stack([np.sin(angles), 0 * angles, np.cos(angles)], axis=1)
         images = 0.5 * np.einsum("lhwk,hwk->lhw", lights, self.true_normals())
         found = self.algorithm.solve(images.astype(np.float32), lights, weights)
-        check(np.isnan(found.normals).all(), "normals were guessed from lights in one plane")
+        expect(np.isnan(found.normals).all(), "normals were guessed from lights in one plane")
 
     def test_each_pixel_stands_for_itself(self) -> None:
         """Bands may be cut anywhere."""
         images, lights, weights = self.lit()
         whole = self.algorithm.solve(images, lights, weights).normals
         part = self.algorithm.solve(images[:, 3:7], lights[:, 3:7], weights[:, 3:7]).normals
-        check(np.abs(whole[3:7] - part).max() < 1e-5, "a band's solution depends on the rows beside it")
+        expect(np.abs(whole[3:7] - part).max() < 1e-5, "a band's solution depends on the rows beside it")
 
     def test_inputs_are_not_overwritten(self) -> None:
         """Images, lights and weights are used again after the solution."""
@@ -145,12 +145,12 @@ class NormalSolverContract(AlgorithmContract):
         before = [array.copy() for array in inputs]
         self.algorithm.solve(*inputs)
         for what, array, kept in zip(("images", "lights", "weights"), inputs, before, strict=True):
-            check(np.array_equal(array, kept), f"the {what} were overwritten")
+            expect(np.array_equal(array, kept), f"the {what} were overwritten")
 
     def test_twice_the_same(self) -> None:
         """The store takes equal keys for equal results."""
         first, second = (self.algorithm.solve(*self.lit()).normals for _ in range(2))
-        check(np.array_equal(first, second), "two runs differ")
+        expect(np.array_equal(first, second), "two runs differ")
 
     def test_several_threads_may_ask_at_once(self) -> None:
         """Every core solves a band of its own with the same object."""
@@ -160,7 +160,7 @@ class NormalSolverContract(AlgorithmContract):
         with ThreadPoolExecutor(4) as pool:
             together = pool.map(lambda one: self.algorithm.solve(one, lights, weights).albedo, darker)
             alike = [np.array_equal(*both) for both in zip(alone, together, strict=True)]
-        check(all(alike), "bands that are solved at the same time disturb each other")
+        expect(all(alike), "bands that are solved at the same time disturb each other")
 
 
 class NormalDetrendContract(AlgorithmContract):
@@ -192,18 +192,18 @@ class NormalDetrendContract(AlgorithmContract):
     def test_a_reference_without_distortion_has_no_bias(self) -> None:
         """Leave alone what is right."""
         bias = self.algorithm.bias(self.reference(plane()))
-        check(np.abs(bias).max() < 1e-5, "a bias was found on a perfect reference")
+        expect(np.abs(bias).max() < 1e-5, "a bias was found on a perfect reference")
 
     def test_a_constant_tilt_is_removed(self) -> None:
         """The sign of the bias: reference minus truth, y up."""
         left = float(self.remaining(plane(np.tan(np.radians(1)), np.tan(np.radians(-0.5)))).max())
-        check(left <= self.tolerance_deg, f"{left:.3g} degrees of a constant tilt are left")
+        expect(left <= self.tolerance_deg, f"{left:.3g} degrees of a constant tilt are left")
 
     def test_a_smooth_distortion_is_removed(self) -> None:
         """The normals of a bow: from -1 to 1 degree across the field."""
         sag = np.tan(np.radians(1)) * 32.0 / 2
         left = float(self.remaining(bow(sag, 32.0, 48.0)).mean())
-        check(left <= self.tolerance_deg, f"{left:.3g} degrees of a smooth distortion are left on average")
+        expect(left <= self.tolerance_deg, f"{left:.3g} degrees of a smooth distortion are left on average")
 
     def test_the_bias_is_float32_and_finite_where_the_reference_is_not_known(self) -> None:
         """It is subtracted everywhere."""
@@ -211,15 +211,15 @@ class NormalDetrendContract(AlgorithmContract):
         truth = reference.normals.copy()
         reference.normals[holed(GRID.shape)] = np.nan
         bias = self.algorithm.bias(reference)
-        check_array(bias, truth.shape, "bias")
-        check(np.isfinite(bias).all(), "the bias must be finite everywhere")
+        expect_array(bias, truth.shape, "bias")
+        expect(np.isfinite(bias).all(), "the bias must be finite everywhere")
         left = float(angles_between(truth - bias, np.array([0.0, 0.0, 1.0])).mean())
-        check(left <= self.tolerance_deg, f"unknown pixels distort the bias: {left:.3g} degrees are left")
+        expect(left <= self.tolerance_deg, f"unknown pixels distort the bias: {left:.3g} degrees are left")
 
     def test_the_reference_is_not_overwritten_and_the_bias_repeats(self) -> None:
         """The reference serves every tile; equal keys mean equal results."""
         reference = self.reference(plane(0.02, -0.01))
         before = reference.normals.copy()
         first = self.algorithm.bias(reference)
-        check(np.array_equal(reference.normals, before), "the reference was overwritten")
-        check(np.array_equal(first, self.algorithm.bias(NormalField(before, GRID))), "two runs differ")
+        expect(np.array_equal(reference.normals, before), "the reference was overwritten")
+        expect(np.array_equal(first, self.algorithm.bias(NormalField(before, GRID))), "two runs differ")

@@ -71,7 +71,7 @@ class TileProgress:
         self._stage = self._progress.add_task("", total=1.0)
         self._compiling: TaskID | None = None
         self._done, self._started, self._ended = 0.0, 0.0, 0
-        self._listening = compilation.told(self._compiles)
+        self._listening = compilation.call_on_compiling(self._compiles)
 
     def __enter__(self) -> TileProgress:
         if self._live:

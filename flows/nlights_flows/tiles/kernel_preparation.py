@@ -160,7 +160,7 @@ def _make_8_bit(capture: Path) -> None:
 
 
 def _answer(job: dict[str, Any], say: Callable[..., None]) -> None:
-    with compilation.told(lambda so_far: say(compiled=len(so_far.names))):
+    with compilation.call_on_compiling(lambda so_far: say(compiled=len(so_far.names))):
         measure_tiny(job)
     say(done=True, compiled=len(compilation.so_far().names))
 
