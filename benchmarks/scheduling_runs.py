@@ -191,7 +191,7 @@ def night(inbox: Path, out: Path, log: Path, claims: str) -> dict[str, Any]:
     from nlights_flows.nights import claims as marks
     from nlights_flows.nights.order import Order
     from nlights_flows.nights.record import night_exit_code
-    from nlights_flows.nights.running import carry_out, run_here
+    from nlights_flows.nights.running import run_here, run_night
 
     ensure = Store.ensure
 
@@ -206,7 +206,7 @@ def night(inbox: Path, out: Path, log: Path, claims: str) -> dict[str, Any]:
     if claims == "none":
         marks.Claims.take = lambda *given: True  # type: ignore[method-assign]
         marks.Claims.taken = lambda *given: False  # type: ignore[method-assign]
-    code = night_exit_code(carry_out(Order(inbox, RunOptions(out=out), settle=0), run_here))
+    code = night_exit_code(run_night(Order(inbox, RunOptions(out=out), settle=0), run_here))
     if code:
         raise SystemExit(code)
     return {}

@@ -143,7 +143,7 @@ def check(
     chosen = load_recipe(recipe)
     tiles = load_capture(artwork, stand=stand, root=root)
     with console.progress_bar("reading photographs") as progress:
-        findings = checking.check(tiles, chosen, progress)
+        findings = checking.check_tiles(tiles, chosen, progress)
     console.show_findings(findings)
     bad = sum(bool(finding.problems) for finding in findings)
     raise typer.Exit(0 if not bad else 2 if bad == len(findings) else 1)
@@ -169,7 +169,7 @@ def plan(
     from nlights_flows.tiles.run_options import RunOptions
 
     options = RunOptions.of(given)
-    chosen, tiles = preparing.prepared(artwork, options)
+    chosen, tiles = preparing.prepare_run(artwork, options)
     failed = 0
     for one in tiles:
         try:
@@ -222,7 +222,7 @@ def _run_here(artwork: Path, options: RunOptions) -> list[Outcome]:
     from nlights_flows.tiles import console, dask_runner, preparing
     from nlights_flows.tiles.running import run_directly
 
-    recipe, tiles = preparing.prepared(artwork, options)
+    recipe, tiles = preparing.prepare_run(artwork, options)
     preparing.make_folders(options)
     if options.runner == "dask":
         return dask_runner.run_everywhere(tiles, recipe, options)
@@ -238,7 +238,7 @@ def _run_flow(artwork: Path, options: RunOptions) -> list[Outcome]:
     """Digitise as a Prefect flow."""
     from nlights_flows.tiles import environment, preparing
 
-    preparing.prepared(artwork, options)  # a misspelt recipe need not wait for Prefect
+    preparing.prepare_run(artwork, options)  # a misspelt recipe need not wait for Prefect
     preparing.make_folders(options)
     environment.prepare()
     from nlights_flows.tiles.digitise import digitise as flow

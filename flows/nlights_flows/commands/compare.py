@@ -103,17 +103,17 @@ def compare(
     folder `truth`; a winner is named only where the differences are more than chance.
     """
     given = {**locals(), "tiles": tile}
-    from nlights_flows.comparison.order import Order, carry_out, checked, run_directly
+    from nlights_flows.comparison.order import Order, check_comparison, run_comparison, run_directly
     from nlights_flows.tiles import environment
     from nlights_flows.tiles.run_options import RunOptions
 
     options = RunOptions.of(given)
     order = Order(artworks, recipes or [], grid or [], options)
     if prefect or environment.api_configured():
-        checked(order)  # a misspelt recipe need not wait for Prefect
+        check_comparison(order)  # a misspelt recipe need not wait for Prefect
         record = _run_flow(order)
     else:
-        record = carry_out(order, run_directly)
+        record = run_comparison(order, run_directly)
     show(record, out)
     raise typer.Exit(exit_code(record))
 
@@ -140,7 +140,7 @@ def _run_flow(order: Order) -> dict[str, Any]:
 
 def show(record: Mapping[str, Any], out: Path) -> None:
     """Print what was found, and every failure."""
-    from nlights_flows.comparison.page import overall, verdict
+    from nlights_flows.comparison.page import describe_metric, overall
     from nlights_flows.tiles import console
 
     for run in record["runs"]:
@@ -150,7 +150,7 @@ def show(record: Mapping[str, Any], out: Path) -> None:
         console.complain(note)
     print(overall(record["metrics"]))
     for metric in record["metrics"]:
-        print(verdict(metric) if metric["over"] else f"{metric['title']}: not measured.")
+        print(describe_metric(metric) if metric["over"] else f"{metric['title']}: not measured.")
     spent = record["seconds"]
     print(f"stages made: {spent['stages']:.1f} s; in all: {spent['all']:.1f} s")
     print(out / "compare.html")

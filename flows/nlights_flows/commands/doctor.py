@@ -29,10 +29,10 @@ def doctor(
 
 def _prepare() -> None:
     from nlights_flows.tiles import console
-    from nlights_flows.tiles.kernel_preparation import prepare
+    from nlights_flows.tiles.kernel_preparation import prepare_kernels
 
     with console.compiling_bar() as progress:
-        count, folder = prepare(progress)
+        count, folder = prepare_kernels(progress)
     if folder is None:
         console.complain(
             "doctor --warm: compiled loops cannot be kept: neither the installation nor a home folder can be "

@@ -69,7 +69,7 @@ def nightly(
     own tile or artwork; what is left is taken up by the next night.
     """
     given = locals()
-    from nlights_flows.nights.order import Order, checked
+    from nlights_flows.nights.order import Order, check_order
     from nlights_flows.tiles import environment
     from nlights_flows.tiles.run_options import RunOptions
 
@@ -78,14 +78,14 @@ def nightly(
     if plan:
         _show_plan(order)
         return
-    checked(order)  # a misspelt recipe need not wait for Prefect
+    check_order(order)  # a misspelt recipe need not wait for Prefect
     if prefect or environment.api_configured():
         _run_flow(order)
     from nlights_flows.nights.record import night_exit_code
-    from nlights_flows.nights.running import carry_out, elsewhere, run_here, run_on_dask
+    from nlights_flows.nights.running import elsewhere, run_here, run_night, run_on_dask
 
     with elsewhere(order) as (order, at_once):
-        record = carry_out(order, run_on_dask if order.options.address else run_here, at_once)
+        record = run_night(order, run_on_dask if order.options.address else run_here, at_once)
     _show(record.as_json(), out)
     raise typer.Exit(night_exit_code(record))
 
@@ -132,11 +132,11 @@ def _show_plan(order: Order) -> None:
     from rich.table import Table
 
     from nlights_flows.nights.checking import plan_night
-    from nlights_flows.nights.order import checked
+    from nlights_flows.nights.order import check_order
     from nlights_flows.nights.page import duration
     from nlights_flows.tiles import console
 
-    night = checked(order)
+    night = check_order(order)
     planned, passed_by, _ = plan_night(night)
     table = Table(box=None, pad_edge=False)
     for heading in (

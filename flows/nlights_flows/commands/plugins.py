@@ -98,16 +98,16 @@ def check(
     from rich.table import Table
 
     from nlights_core.registry import installed
-    from nlights_flows.plugin_kit.contracts import chosen, verdict
+    from nlights_flows.plugin_kit.contracts import choose_offers, run_contract
     from nlights_flows.tiles import console
 
-    offers = chosen(installed(), names or [], everything)
+    offers = choose_offers(installed(), names or [], everything)
     table = Table(box=None, pad_edge=False)
     for heading in ("slot", "use", "from", "contract"):
         table.add_column(heading, no_wrap=heading != "contract")
     broken = 0
     for offer in offers:
-        found = verdict(offer, timeout)
+        found = run_contract(offer, timeout)
         if found.ended:
             console.complain(found.ended)
         broken += bool(found.broken)

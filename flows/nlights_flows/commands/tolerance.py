@@ -61,13 +61,14 @@ def tolerance(
 
     if scene not in SCENES:
         raise NlightsError(f"--scene: there is no scene '{scene}'; choose one of {', '.join(SCENES)}")
-    sweep = stand_errors.chosen(stand, axis, errors, random, strength, against, draws, seed)
+    sweep = stand_errors.choose_sweep(stand, axis, errors, random, strength, against, draws, seed)
     make_writable(out, "--out")
     with console.progress_bar("solving with wrong lamps") as progress:
         found = study(
             stand, sweep, load_recipe("default"), scene=scene, width=width, seed=seed, progress=progress
         )
-    for line in (*tolerance_plots.table(found), "", *tolerance_plots.verdict(found), "", *found.notes):
+    promise = tolerance_plots.describe_tolerance(found)
+    for line in (*tolerance_plots.table(found), "", *promise, "", *found.notes):
         print(line)
     for path in tolerance_plots.write(found, out):
         print(path)

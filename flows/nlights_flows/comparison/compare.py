@@ -9,7 +9,7 @@ from prefect import flow
 from prefect.states import Completed, Failed
 
 from nlights_core.recipe import Recipe
-from nlights_flows.comparison.order import Order, carry_out
+from nlights_flows.comparison.order import Order, run_comparison
 from nlights_flows.comparison.runs import Case, Run, Workshop
 from nlights_flows.tiles.digitise import ensure_as_task
 from nlights_flows.tiles.environment import outlive_reader
@@ -69,7 +69,7 @@ def compare(
     options = RunOptions.of(locals())
     order = Order([Path(path) for path in artworks], recipes or [], grid or [], options)
     outlive_reader()
-    record = carry_out(order, run_as_tasks)
+    record = run_comparison(order, run_as_tasks)
     failed = [run for run in record["runs"] if run["state"] == "failed"]
     done = f"{len(record['runs']) - len(failed)} of {len(record['runs'])} runs done"
     message = f"{done}: {options.out / 'compare.html'}"

@@ -95,7 +95,7 @@ def compare_runs(
             for r in recipes
         ],
         "compared": names,
-        "metrics": [analysed(metric, names, measured, units) for metric in METRICS],
+        "metrics": [analyse_metric(metric, names, measured, units) for metric in METRICS],
         "described": [
             {
                 "key": key,
@@ -156,7 +156,7 @@ def _unit(unit: str, grid_units: Sequence[str]) -> str:
     return unit_of(Metric("", "", unit, ""), grid_units)
 
 
-def analysed(
+def analyse_metric(
     metric: Metric, names: Sequence[str], measured: Mapping[str, TileMeasures], units: Sequence[str]
 ) -> dict[str, Any]:
     """Analyse one metric over all tiles.

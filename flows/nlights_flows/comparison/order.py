@@ -38,7 +38,7 @@ RunAll = Callable[[Workshop, Recipe, Sequence[Case]], list[Run]]
 """How to run a variant on all tiles: `run_directly` here, or as Prefect tasks."""
 
 
-def carry_out(order: Order, run_all: RunAll) -> dict[str, Any]:
+def run_comparison(order: Order, run_all: RunAll) -> dict[str, Any]:
     """Run all variants, measure them, and write ``compare.html`` and ``compare.json``.
 
     Parameters
@@ -58,7 +58,7 @@ def carry_out(order: Order, run_all: RunAll) -> dict[str, Any]:
         What the user has to mend; nothing was written.
     """
     started, options = time.monotonic(), order.options
-    recipes, cases = checked(order)
+    recipes, cases = check_comparison(order)
     with options.in_force():
         make_folders(options)
         workshop = Workshop(options)
@@ -71,7 +71,7 @@ def carry_out(order: Order, run_all: RunAll) -> dict[str, Any]:
     return record
 
 
-def checked(order: Order) -> tuple[list[Recipe], list[Case]]:
+def check_comparison(order: Order) -> tuple[list[Recipe], list[Case]]:
     """The variants and tiles of an order; runs and writes nothing.
 
     Raises

@@ -42,7 +42,7 @@ def write_page(path: Path, comparison: Comparison) -> None:
         record=record,
         metrics=[(metric, table_rows(metric)) for metric in metrics],
         unmeasured=[metric for metric in record["metrics"] if not metric["over"]],
-        verdicts=[verdict(metric) for metric in metrics],
+        verdicts=[describe_metric(metric) for metric in metrics],
         overall=overall(record["metrics"]),
         described=[
             (row["title"], row["unit"], [figure_of(value, row["unit"]) for value in row["values"].values()])
@@ -96,7 +96,7 @@ def over(metric: Mapping[str, Any]) -> str:
     return f"over {found['places']} {what} of {tiles}"
 
 
-def verdict(metric: Mapping[str, Any]) -> str:
+def describe_metric(metric: Mapping[str, Any]) -> str:
     """Verdict of a metric, in one or two sentences."""
     unit, rows = metric["unit"], [row for row in metric["variants"] if row["value"] is not None]
     title = metric["title"]

@@ -47,7 +47,7 @@ class Estimate:
         return self.constant + self.slope * megapixels
 
 
-def learnt(timed: Sequence[tuple[float, float]]) -> Estimate:
+def learn_estimate(timed: Sequence[tuple[float, float]]) -> Estimate:
     """Learn from tiles how long one takes.
 
     Parameters
@@ -147,12 +147,12 @@ def require_disk(pixels: int, store: Path, out: Path, where: str) -> None:
         need, free = constant + slope * pixels, shutil.disk_usage(folder).free
         if need > free:
             raise TileError(
-                f"{where}: needs about {said(need)} in {folder}, where {said(free)} are free; free some space or "
-                f"choose another {option}; finished work is kept"
+                f"{where}: needs about {format_bytes(need)} in {folder}, where {format_bytes(free)} are free; "
+                f"free some space or choose another {option}; finished work is kept"
             )
 
 
-def said(size: float) -> str:
+def format_bytes(size: float) -> str:
     """Bytes as a person writes them.
 
     Examples

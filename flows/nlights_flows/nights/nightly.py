@@ -14,7 +14,7 @@ from prefect.states import Completed, Failed
 from nlights_flows.nights.order import Batch, Order
 from nlights_flows.nights.pictures import thumbnail
 from nlights_flows.nights.record import PAGE, night_exit_code
-from nlights_flows.nights.running import carry_out, elsewhere
+from nlights_flows.nights.running import elsewhere, run_night
 from nlights_flows.tiles.digitise import digitise, each_tile_through
 from nlights_flows.tiles.environment import outlive_reader
 from nlights_flows.tiles.run_options import RunOptions
@@ -77,7 +77,7 @@ def nightly(
     order = Order(Path(inbox), RunOptions.of(locals()), until, limits, settle)
     outlive_reader()
     with elsewhere(order) as (order, at_once):
-        record = carry_out(order, run_as_subflow, at_once)
+        record = run_night(order, run_as_subflow, at_once)
     found = record.as_json()
     create_markdown_artifact(artifact(found), key="night", description=found["verdict"])
     data = {"record": found, "exit_code": night_exit_code(record)}

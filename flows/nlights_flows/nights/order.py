@@ -86,7 +86,7 @@ takes down what became of it; it may be called from several threads.  What is re
 """
 
 
-def checked(order: Order) -> Checked:
+def check_order(order: Order) -> Checked:
     """Read recipe, limits and time.
 
     Raises

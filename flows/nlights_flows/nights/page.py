@@ -12,10 +12,10 @@ from nlights_core import __version__
 from nlights_core.report.figures import figure_of
 from nlights_core.store import write_whole
 from nlights_flows.nights.charts import HEIGHT, WIDTH, chart, newly_outside
-from nlights_flows.nights.estimates import said
+from nlights_flows.nights.estimates import format_bytes
 from nlights_flows.nights.limits import VERDICTS
 from nlights_flows.nights.pictures import thumbnail
-from nlights_flows.nights.record import PAGE, NightRecord, verdict
+from nlights_flows.nights.record import PAGE, NightRecord, summarise_night
 from nlights_flows.tiles.pages import template
 
 PICTURES = 300
@@ -59,7 +59,7 @@ def _shown(record: NightRecord, out: Path) -> dict[str, Any]:
     return {
         "record": data,
         "version": __version__,
-        "sentence": verdict(record),
+        "sentence": summarise_night(record),
         "mood": mood(data),
         "failures": [a for a in artworks if a["state"] == "failed"],
         "beyond": beyond(artworks),
@@ -76,7 +76,12 @@ def _shown(record: NightRecord, out: Path) -> dict[str, Any]:
             {**stand, "charts": [chart(trend) for trend in stand["charts"]]} for stand in data["trends"]
         ],
         "disks": [
-            (name, data[name], said(disk["free"]), f"{100 * disk['free'] / max(disk['total'], 1):.0f}")
+            (
+                name,
+                data[name],
+                format_bytes(disk["free"]),
+                f"{100 * disk['free'] / max(disk['total'], 1):.0f}",
+            )
             for name, disk in data["disk"].items()
         ],
         "facts": _facts(data),

@@ -128,10 +128,10 @@ class NightRecord:
 
     def as_json(self) -> dict[str, Any]:
         """Contents of ``night.json``."""
-        return {"schema": SCHEMA, "nlights": __version__, "verdict": verdict(self), **asdict(self)}
+        return {"schema": SCHEMA, "nlights": __version__, "verdict": summarise_night(self), **asdict(self)}
 
 
-def verdict(record: NightRecord) -> str:
+def summarise_night(record: NightRecord) -> str:
     """A night in one sentence.
 
     Examples

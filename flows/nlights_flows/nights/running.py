@@ -17,10 +17,10 @@ from nlights_core.errors import NlightsError
 from nlights_core.products.publishing import publish
 from nlights_flows.nights.checking import in_store, require_usable
 from nlights_flows.nights.claims import Claims
-from nlights_flows.nights.estimates import learnt, require_disk
+from nlights_flows.nights.estimates import learn_estimate, require_disk
 from nlights_flows.nights.inbox import Candidate, Inbox, require_inbox, scan
 from nlights_flows.nights.numbers import numbers_of
-from nlights_flows.nights.order import Batch, Checked, Order, RunArtwork, checked
+from nlights_flows.nights.order import Batch, Checked, Order, RunArtwork, check_order
 from nlights_flows.nights.page import write_pages
 from nlights_flows.nights.record import (
     NOT_REACHED,
@@ -34,7 +34,7 @@ from nlights_flows.nights.record import (
 )
 from nlights_flows.nights.trends import measured, trends
 from nlights_flows.tiles import console, dask_runner
-from nlights_flows.tiles.explaining import explained
+from nlights_flows.tiles.explaining import explain_fault
 from nlights_flows.tiles.preparing import make_folders
 from nlights_flows.tiles.running import Around, Outcome, run_directly
 
@@ -51,7 +51,7 @@ PATIENCE = 6 * 3600.0
 """Seconds for which a night without an end waits for another at most."""
 
 
-def carry_out(order: Order, run_artwork: RunArtwork, at_once: int = 1) -> NightRecord:
+def run_night(order: Order, run_artwork: RunArtwork, at_once: int = 1) -> NightRecord:
     """Carry out a night.
 
     Parameters
@@ -73,7 +73,7 @@ def carry_out(order: Order, run_artwork: RunArtwork, at_once: int = 1) -> NightR
     NlightsError
         When order, recipe, limits or inbox are at fault; nothing was run then.
     """
-    night = checked(order)
+    night = check_order(order)
     require_inbox(order.inbox)
     with night.options.in_force():
         make_folders(night.options)
@@ -128,7 +128,7 @@ class Night:
         self._began = self._next_page = time.monotonic()
         self._earlier = earlier_nights(order.options.out, but=self.folder.name)
         self._timed = timed_tiles(self._earlier, night.recipe.name)
-        self._estimate = learnt(self._timed)
+        self._estimate = learn_estimate(self._timed)
         self._tiles: dict[tuple[str, str], TileEntry] = {}
         self._running: list[tuple[Candidate, ArtworkEntry]] = []
         self._lock = threading.RLock()
@@ -238,7 +238,7 @@ class Night:
             try:
                 self.run_artwork(batch, self.around)
             except (Exception, SystemExit) as fault:
-                self._give_up(open_tiles, explained(fault, self.night.store))
+                self._give_up(open_tiles, explain_fault(fault, self.night.store))
             self._give_up(open_tiles, "was never begun, and nobody said why; see the log of the run")
         entry.settle()
         self._write()
@@ -298,7 +298,7 @@ class Night:
                 one.megapixels = one.megapixels or size
             if outcome.state == "done" and one.megapixels:
                 self._timed.insert(0, (one.megapixels, outcome.seconds))
-                self._estimate = learnt(self._timed)
+                self._estimate = learn_estimate(self._timed)
         return outcome
 
     def _give_up(self, tiles: list[Tile], message: str) -> None:
@@ -344,7 +344,7 @@ class Night:
                 write_record(record, self.folder, out)
                 write_pages(record, self.folder, out)
             except Exception as fault:
-                said = f"the page could not be written: {explained(fault, self.night.store)}"
+                said = f"the page could not be written: {explain_fault(fault, self.night.store)}"
                 console.complain(said)
                 if said not in record.notes:
                     record.notes.append(said)

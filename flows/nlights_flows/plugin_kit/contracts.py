@@ -57,7 +57,7 @@ class Verdict:
     ended: str = ""
 
 
-def chosen(registry: Registry, names: Sequence[str], everything: bool = False) -> list[Offer]:
+def choose_offers(registry: Registry, names: Sequence[str], everything: bool = False) -> list[Offer]:
     """Offers by the names of algorithms or distributions; without names all that nLights does not ship.
 
     Raises
@@ -75,7 +75,7 @@ def chosen(registry: Registry, names: Sequence[str], everything: bool = False) -
     return [o for o in offers if everything or o.distribution != "nlights"]
 
 
-def verdict(offer: Offer, timeout: float | None = None) -> Verdict:
+def run_contract(offer: Offer, timeout: float | None = None) -> Verdict:
     """Run the contract of an algorithm's kind on it, with the default values of its options.
 
     Parameters

@@ -41,7 +41,7 @@ class Finding:
     problems: list[str] = field(default_factory=list)
 
 
-def check(tiles: Sequence[Tile], recipe: Recipe, progress: Callable[[float], None]) -> list[Finding]:
+def check_tiles(tiles: Sequence[Tile], recipe: Recipe, progress: Callable[[float], None]) -> list[Finding]:
     """Check tile after tile; see `check_tile`."""
     findings = []
     for i, tile in enumerate(tiles):

@@ -10,7 +10,7 @@ from nlights_core.errors import NlightsError
 from nlights_core.store import Store
 
 
-def explained(fault: BaseException, store: Store) -> str:
+def explain_fault(fault: BaseException, store: Store) -> str:
     """A fault as a sentence: what happened and what to do."""
     if isinstance(fault, NlightsError):
         return str(fault)

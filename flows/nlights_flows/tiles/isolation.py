@@ -21,7 +21,7 @@ from nlights_core.machine.progress import Progress
 from nlights_core.registry import installed
 from nlights_core.store import ArtefactRef, Store, Work, sweep
 from nlights_flows.tiles import children
-from nlights_flows.tiles.explaining import explained
+from nlights_flows.tiles.explaining import explain_fault
 
 
 def ensure(
@@ -83,7 +83,7 @@ def ensure(
             # A killed child's drafts would go when their folders are next written to; they may be large.
             sweep(store.path(work.ref).parent)
             sweep(store.root / ".scratch")
-    return _taken(answer)
+    return _take_answer(answer)
 
 
 def needs_child(arguments: Sequence[Any], timeout: float | None) -> bool:
@@ -97,7 +97,7 @@ def is_foreign(algorithm: Algorithm) -> bool:
     return offer is not None and offer.algorithm is type(algorithm) and offer.distribution != "nlights"
 
 
-def _taken(answer: dict[str, Any]) -> bool:
+def _take_answer(answer: dict[str, Any]) -> bool:
     """Take a child's answer, as if the stage had run here."""
     if "fault" in answer:
         raise TileError(answer["fault"])
@@ -185,7 +185,7 @@ def _done(job: dict[str, Any], progress: Progress) -> dict[str, Any]:
             "choose another algorithm"
         }
     except (Exception, SystemExit) as fault:
-        return {"fault": explained(fault, store)}
+        return {"fault": explain_fault(fault, store)}
 
 
 if __name__ == "__main__":

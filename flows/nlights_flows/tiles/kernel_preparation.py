@@ -64,7 +64,7 @@ def compiled_beside(recipe: Recipe) -> Iterator[None]:
     set_complete(mark)
 
 
-def prepare(progress: Callable[[float, int], None]) -> tuple[int, Path | None]:
+def prepare_kernels(progress: Callable[[float, int], None]) -> tuple[int, Path | None]:
     """Compile all loops of the bundled algorithms, on all cores, and put them into the installation.
 
     Parameters

@@ -13,7 +13,7 @@ from nlights_core.store import make_writable
 from nlights_flows.tiles.run_options import RunOptions
 
 
-def prepared(artwork: Path, options: RunOptions) -> tuple[Recipe, list[Tile]]:
+def prepare_run(artwork: Path, options: RunOptions) -> tuple[Recipe, list[Tile]]:
     """Read recipe, stand and manifest; the tiles are those that the options name, or all.
 
     Raises

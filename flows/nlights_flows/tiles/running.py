@@ -17,7 +17,7 @@ from nlights_core.recipe import Recipe
 from nlights_core.store import ArtefactRef, Work
 from nlights_flows.tiles import isolation
 from nlights_flows.tiles.chain import digitise_tile
-from nlights_flows.tiles.explaining import explained
+from nlights_flows.tiles.explaining import explain_fault
 from nlights_flows.tiles.kernel_preparation import compiled_beside
 from nlights_flows.tiles.photographs import Photographs
 from nlights_flows.tiles.run_options import RunOptions
@@ -161,5 +161,5 @@ def attempt(tile: Tile, recipe: Recipe, options: RunOptions, ensure: Ensure) -> 
             folder = run_tile(tile, recipe, options, call)
         state = "done" if made else "unchanged"
     except (Exception, SystemExit) as fault:  # a plugin may even call sys.exit
-        message = explained(fault, options.artefacts)
+        message = explain_fault(fault, options.artefacts)
     return Outcome(tile.artwork, tile.name, state, folder, message, time.monotonic() - started)

@@ -113,7 +113,7 @@ def table(study: Study) -> Iterator[str]:
             yield f"{one.error:>20.4g}" + "".join(f"{number:>9.4f}" for number in numbers)
 
 
-def verdict(study: Study) -> Iterator[str]:
+def describe_tolerance(study: Study) -> Iterator[str]:
     """Errors up to which the promise of 0.5 degrees and 1 mm is kept, a sentence each."""
     questions: tuple[tuple[str, Value, Value], ...] = (
         ("in the mean", lambda m: m.angle.mean, lambda m: m.distance.mean),

@@ -234,7 +234,7 @@ def of_strength(errors: Sequence[float], draws: int, seed: int) -> Sweep:
     return Sweep(what, "%", tuple(100 * error for error in errors), disturb, draws)
 
 
-def chosen(
+def choose_sweep(
     stand: str,
     axis: str | None,
     errors: str | None,

@@ -130,7 +130,7 @@ def compared_recipes(recipe: Recipe) -> dict[str, Recipe]:
     return {WITHOUT: recipe.model_copy(update={"light_model": lights, "detrend": computed}), WITH: recipe}
 
 
-def solved(tile: Tile, recipe: Recipe, folder: Path) -> tuple[Array, Array]:
+def solve_maps(tile: Tile, recipe: Recipe, folder: Path) -> tuple[Array, Array]:
     """Run the chain as far as the maps; mesh and report are named but not made.
 
     Parameters
@@ -320,7 +320,7 @@ class _Deviations:
 
 def _deviations(tile: Tile, recipe: Recipe, truth: Path, scene: str) -> _Deviations:
     with TemporaryDirectory() as folder:
-        normals, height = solved(tile, recipe, Path(folder))
+        normals, height = solve_maps(tile, recipe, Path(folder))
     if scene == "plane":
         distances = plane_distances(height, grid_of(tile, survey(tile)))
     else:

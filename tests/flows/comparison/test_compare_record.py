@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from nlights_flows.comparison.comparing import analysed
+from nlights_flows.comparison.comparing import analyse_metric
 from nlights_flows.comparison.metrics import METRICS, TileMeasures, block_edges
-from nlights_flows.comparison.page import overall, verdict
+from nlights_flows.comparison.page import describe_metric, overall
 
 ANGLE, HEIGHT, HELD_OUT, _ = METRICS
 
@@ -22,10 +22,10 @@ def tiles(count: int, means: list[float], key: str = "angle_error") -> dict[str,
 
 
 def test_five_tiles_are_the_places_and_fewer_are_cut_into_blocks():
-    found = analysed(ANGLE, ["x", "y"], tiles(5, [1.0, 2.0]), ["mm"] * 5)
+    found = analyse_metric(ANGLE, ["x", "y"], tiles(5, [1.0, 2.0]), ["mm"] * 5)
     assert found["over"] == {"kind": "tiles", "places": 5, "tiles": 5}
     assert found["winners"] == ["x"]
-    found = analysed(ANGLE, ["x", "y"], tiles(4, [1.0, 2.0]), ["mm"] * 4)
+    found = analyse_metric(ANGLE, ["x", "y"], tiles(4, [1.0, 2.0]), ["mm"] * 4)
     assert found["over"] == {"kind": "blocks", "places": 64, "tiles": 4}
     assert found["winners"] == ["x"]
 
@@ -33,7 +33,7 @@ def test_five_tiles_are_the_places_and_fewer_are_cut_into_blocks():
 def test_an_rms_is_the_same_over_tiles_as_over_all_their_blocks():
     measured = tiles(5, [4.0, 9.0], "height_error")
     squares = np.mean([one.places["height_error"] for one in measured.values()], axis=(0, 1, 2))
-    found = analysed(HEIGHT, ["x", "y"], measured, ["mm"] * 5)
+    found = analyse_metric(HEIGHT, ["x", "y"], measured, ["mm"] * 5)
     assert [row["value"] for row in found["variants"]] == pytest.approx(np.sqrt(squares))
 
 
@@ -41,23 +41,23 @@ def test_what_was_not_measured_is_never_best_and_never_ranked():
     measured = tiles(5, [1.0, 2.0, 3.0])
     for one in measured.values():
         one.places["angle_error"][..., 0] = np.nan
-    found = analysed(ANGLE, ["x", "y", "z"], measured, ["mm"] * 5)
+    found = analyse_metric(ANGLE, ["x", "y", "z"], measured, ["mm"] * 5)
     assert [row["rank"] for row in found["variants"]] == [None, 1, 2]
     assert found["variants"][0]["value"] is None
     assert found["variants"][1]["to_first"] is None
     assert found["winners"] == ["y"]
-    assert "best is y" in verdict(found)
+    assert "best is y" in describe_metric(found)
 
 
 def test_a_tile_on_which_a_variant_has_no_number_takes_the_variant_out():
     measured = tiles(5, [1.0, 2.0, 3.0])
     measured["a/2"].places["angle_error"][..., 1] = np.nan
-    found = analysed(ANGLE, ["x", "y", "z"], measured, ["mm"] * 5)
+    found = analyse_metric(ANGLE, ["x", "y", "z"], measured, ["mm"] * 5)
     assert [row["rank"] for row in found["variants"]] == [1, None, 2]
 
 
 def test_lengths_with_and_without_a_scale_are_not_mixed():
-    found = analysed(HEIGHT, ["x", "y"], tiles(5, [1.0, 2.0], "height_error"), ["mm"] * 4 + ["px"])
+    found = analyse_metric(HEIGHT, ["x", "y"], tiles(5, [1.0, 2.0], "height_error"), ["mm"] * 4 + ["px"])
     assert found["over"] is None
     assert found["winners"] == []
 
@@ -66,17 +66,17 @@ def test_lamps_are_the_places_of_a_single_tile_and_four_are_too_few():
     for lamps, ranked in ((8, True), (4, False)):
         values = np.stack([np.arange(1.0, lamps + 1), np.arange(1.0, lamps + 1) * 2], axis=-1)[:, None]
         one = TileMeasures(places={"held_out": values}, weights={"held_out": np.ones((lamps, 1))}, pixels=9)
-        found = analysed(HELD_OUT, ["x", "y"], {"a/b": one}, ["mm"])
+        found = analyse_metric(HELD_OUT, ["x", "y"], {"a/b": one}, ["mm"])
         assert found["over"] == {"kind": "lamps", "places": lamps, "tiles": 1}
         assert (found["winners"] == ["x"]) == ranked
         if not ranked:
-            assert "too few" in verdict(found)
+            assert "too few" in describe_metric(found)
 
 
 def test_the_answer_names_the_winner_only_where_the_truths_agree():
-    one = analysed(ANGLE, ["x", "y"], tiles(5, [1.0, 2.0]), ["mm"] * 5)
-    other = analysed(HEIGHT, ["x", "y"], tiles(5, [2.0, 1.0], "height_error"), ["mm"] * 5)
-    tied = analysed(HEIGHT, ["x", "y"], tiles(5, [1.0, 1.0], "height_error"), ["mm"] * 5)
+    one = analyse_metric(ANGLE, ["x", "y"], tiles(5, [1.0, 2.0]), ["mm"] * 5)
+    other = analyse_metric(HEIGHT, ["x", "y"], tiles(5, [2.0, 1.0], "height_error"), ["mm"] * 5)
+    tied = analyse_metric(HEIGHT, ["x", "y"], tiles(5, [1.0, 1.0], "height_error"), ["mm"] * 5)
     assert "the winner is x" in overall([one])
     assert "the winner is x" in overall([one, tied])
     assert "it depends on what is asked" in overall([one, other])

@@ -10,7 +10,7 @@ import yaml
 
 from nlights_core.errors import CaptureError
 from nlights_core.manifest import load_capture
-from nlights_flows.nights.flat_check import check, flatness, last_check, levels
+from nlights_flows.nights.flat_check import check_flat, flatness, last_check, levels
 
 LIMITS = {"height_range_mm": 1.0, "normals_rms_deg": 0.5, "level_percent": 5.0}
 
@@ -65,24 +65,24 @@ def products(folder, height):
 
 
 def test_a_lamp_that_became_weaker_is_named_and_only_that_one(tile, tmp_path):
-    record = check(tile, products(tmp_path / "p", np.zeros((30, 40))), None, LIMITS)
+    record = check_flat(tile, products(tmp_path / "p", np.zeros((30, 40))), None, LIMITS)
     lamp = list(tile.frames)[2]
     assert record["changes_percent"]["the flats"][lamp] == pytest.approx(-10, abs=0.3)
     assert [fault.split()[0] for fault in record["faults"]] == [lamp]
     assert lamp in record["sentence"]
     # Against a check with the lamps as they are now, nothing changed; the flats stay wrong.
-    again = check(tile, tmp_path / "p", record, LIMITS)
+    again = check_flat(tile, tmp_path / "p", record, LIMITS)
     assert max(map(abs, again["changes_percent"]["the last check"].values())) < 1e-9
 
 
 def test_a_bent_flat_fails_and_a_plane_one_says_so_with_its_figures(tile, tmp_path):
     flats_only = tile.model_copy(update={"frames": tile.flats})
     bent = np.tile(np.linspace(-1, 1, 400) ** 2 * 1.3, (40, 1))
-    record = check(flats_only, products(tmp_path / "bent", bent), None, LIMITS)
+    record = check_flat(flats_only, products(tmp_path / "bent", bent), None, LIMITS)
     assert len(record["faults"]) == 1
     assert "the height ranges over 1.3 mm" in record["sentence"].replace("1.29", "1.3")
     assert "at most 1 mm" in record["sentence"]
-    record = check(flats_only, products(tmp_path / "flat", 0 * bent), None, LIMITS)
+    record = check_flat(flats_only, products(tmp_path / "flat", 0 * bent), None, LIMITS)
     assert record["faults"] == []
     assert "came out flat: height 0 mm rms" in record["sentence"]
 

@@ -19,8 +19,8 @@ from nlights_flows.nights import estimates as night_estimates
 from nlights_flows.nights.claims import Claims
 from nlights_flows.nights.estimates import Deadline
 from nlights_flows.nights.limits import load_limits
-from nlights_flows.nights.order import Order, checked
-from nlights_flows.nights.running import Night, carry_out, run_here
+from nlights_flows.nights.order import Order, check_order
+from nlights_flows.nights.running import Night, run_here, run_night
 from nlights_flows.tiles.run_options import RunOptions
 from nlights_flows.tiles.running import Outcome
 
@@ -164,7 +164,7 @@ def test_the_next_night_does_nothing_and_says_so_in_seconds(spent):
     inbox, out, _ = spent
     before = {path: path.stat().st_mtime_ns for path in (out / ".store").rglob("artefact.json")}
     started = time.monotonic()
-    record = carry_out(Order(inbox, RunOptions(out=out)), run_here).as_json()
+    record = run_night(Order(inbox, RunOptions(out=out)), run_here).as_json()
     assert time.monotonic() - started < 5
     assert {path: path.stat().st_mtime_ns for path in (out / ".store").rglob("artefact.json")} == before
     assert states(record)["inv-1"] == states(record)["room 2/inv-2"] == "unchanged"
@@ -228,7 +228,7 @@ def test_nothing_is_begun_that_cannot_end_in_time(shot, tmp_path, monkeypatch):
         return Outcome(tile.artwork, tile.name, "done", None, "", 15.0)
 
     order = Order(tmp_path / "inbox", RunOptions(out=tmp_path / "out"), until="06:30")
-    night = checked(order)
+    night = check_order(order)
     at = night.deadline.at
     object.__setattr__(night, "deadline", Deadline(at, now + 2 * 15.2))
     record = pretended(night, run)
@@ -237,7 +237,7 @@ def test_nothing_is_begun_that_cannot_end_in_time(shot, tmp_path, monkeypatch):
     assert record["verdict"] == "2 of 3 artworks done, 1 tile left for the next night"
     assert record["until"][11:16] == "06:30"
     # The next night, without an end, takes up what is left; nobody had made anything, so it does all.
-    record = pretended(checked(Order(tmp_path / "inbox", RunOptions(out=tmp_path / "out"))), run)
+    record = pretended(check_order(Order(tmp_path / "inbox", RunOptions(out=tmp_path / "out"))), run)
     assert set(states(record).values()) == {"done"}
 
 
@@ -251,7 +251,7 @@ def test_a_night_that_is_killed_leaves_a_true_page(shot, tmp_path):
         return Outcome(tile.artwork, tile.name, "done", None, "", 1.0)
 
     with pytest.raises(KeyboardInterrupt):
-        pretended(checked(Order(tmp_path / "inbox", RunOptions(out=tmp_path / "out"))), run)
+        pretended(check_order(Order(tmp_path / "inbox", RunOptions(out=tmp_path / "out"))), run)
     record = read(tmp_path / "out")
     assert states(record) == {"inv-1": "done", "inv-2": "left"}
     assert record["ended"] is None
@@ -261,7 +261,7 @@ def test_a_night_that_is_killed_leaves_a_true_page(shot, tmp_path):
 def test_a_way_of_running_that_breaks_costs_its_own_artwork(shot, tmp_path):
     for name in ("inv-1", "inv-2"):
         put(shot, tmp_path / "inbox", name)
-    night = checked(Order(tmp_path / "inbox", RunOptions(out=tmp_path / "out")))
+    night = check_order(Order(tmp_path / "inbox", RunOptions(out=tmp_path / "out")))
     night.store.prepare()
 
     def run_artwork(batch, around):
@@ -280,7 +280,7 @@ def test_a_full_disk_is_told_before_a_tile_is_begun(shot, tmp_path, monkeypatch)
     usage = shutil.disk_usage(tmp_path)
     monkeypatch.setattr(night_estimates.shutil, "disk_usage", lambda path: usage._replace(free=1_000_000))
     record = pretended(
-        checked(Order(tmp_path / "inbox", RunOptions(out=tmp_path / "out"))),
+        check_order(Order(tmp_path / "inbox", RunOptions(out=tmp_path / "out"))),
         lambda tile: pytest.fail("begun"),
     )
     assert states(record) == {"inv-1": "failed"}
@@ -290,7 +290,7 @@ def test_a_full_disk_is_told_before_a_tile_is_begun(shot, tmp_path, monkeypatch)
 def test_an_empty_inbox_is_a_night_well_spent_and_none_is_a_fault(tmp_path):
     (tmp_path / "inbox").mkdir()
     assert (
-        carry_out(Order(tmp_path / "inbox", RunOptions(out=tmp_path / "out")), run_here).as_json()["verdict"]
+        run_night(Order(tmp_path / "inbox", RunOptions(out=tmp_path / "out")), run_here).as_json()["verdict"]
         == "the inbox is empty"
     )
     done = nightly(tmp_path / "nowhere", "--out", tmp_path / "other", code=2)
@@ -315,7 +315,7 @@ def test_a_tile_claimed_by_a_run_that_died_is_taken_over(shot, tmp_path, monkeyp
         return busy(self, tile)
 
     monkeypatch.setattr(Night, "_busy", dies)
-    night = checked(Order(tmp_path / "inbox", RunOptions(out=tmp_path / "out")))
+    night = check_order(Order(tmp_path / "inbox", RunOptions(out=tmp_path / "out")))
     record = pretended(night, lambda tile: Outcome(tile.artwork, tile.name, "done"))
     assert looks >= 4
     assert states(record) == {"inv-1": "done"}

@@ -15,10 +15,10 @@ from nlights_core.recipe import load_recipe
 from nlights_core.store import Store
 from nlights_flows.nights.charts import chart
 from nlights_flows.nights.claims import Claims
-from nlights_flows.nights.estimates import Deadline, learnt
+from nlights_flows.nights.estimates import Deadline, learn_estimate
 from nlights_flows.nights.inbox import scan
 from nlights_flows.nights.limits import load_limits
-from nlights_flows.nights.order import Order, checked
+from nlights_flows.nights.order import Order, check_order
 from nlights_flows.nights.page import moved
 from nlights_flows.nights.trends import control_limits, trends
 from nlights_flows.tiles import environment, running
@@ -160,16 +160,16 @@ def test_a_limit_is_of_what_is_too_large_or_of_what_is_too_small():
 def test_a_wrong_order_is_refused_by_its_option(tmp_path, words, told):
     own = {name: value for name, value in words.items() if name in ("until", "limits", "settle")}
     with pytest.raises(Exception, match=told):
-        checked(Order(tmp_path, RunOptions.of({"out": tmp_path, **words}), **own))
+        check_order(Order(tmp_path, RunOptions.of({"out": tmp_path, **words}), **own))
 
 
 def test_seconds_per_tile_are_learnt_from_tiles():
     truth = [(size, 30 + 0.5 * size) for size in (6, 25, 50, 100) for _ in range(20)]
-    found = learnt(truth)
+    found = learn_estimate(truth)
     for size, seconds in truth:
         assert found.seconds(size) == pytest.approx(seconds, rel=0.1)
     # Few tiles do not mean much: one that took a minute for nothing is not believed.
-    assert learnt([(1.0, 60.0)]).seconds(1.0) < 45
+    assert learn_estimate([(1.0, 60.0)]).seconds(1.0) < 45
 
 
 def test_the_deadline_is_the_next_such_time_and_the_clock_may_be_set_back(monkeypatch):

@@ -18,7 +18,7 @@ from nlights_core.errors import PluginError
 from nlights_core.fields import HeightMap
 from nlights_core.registry import Offer, installed
 from nlights_flows.commands.plugins import KindName
-from nlights_flows.plugin_kit.contracts import CONTRACTS, chosen, verdict
+from nlights_flows.plugin_kit.contracts import CONTRACTS, choose_offers, run_contract
 from nlights_flows.plugin_kit.distributions import begin
 from nlights_plugins.integrators import Simchony
 
@@ -115,8 +115,8 @@ def test_nothing_is_ever_overwritten(tmp_path):
 
 def test_every_kind_has_a_contract_and_every_bundled_algorithm_keeps_it_or_says_why_not():
     unchecked = []
-    for offer in chosen(installed(), [], everything=True):
-        found = verdict(offer)
+    for offer in choose_offers(installed(), [], everything=True):
+        found = run_contract(offer)
         assert found.broken == (), offer.algorithm.name
         if found.unchecked:
             unchecked.append(offer.algorithm.name)
@@ -155,30 +155,30 @@ class Raising(Integrator):
 
 
 def test_a_broken_contract_is_told_rule_by_rule():
-    found = verdict(Offer(UpsideDown, "nlights-wrong", "1"))
+    found = run_contract(Offer(UpsideDown, "nlights-wrong", "1"))
     assert any(
         rule.startswith("a tilted plane is recovered in mm with y up: plane wrong by")
         for rule in found.broken
     )
-    raised = verdict(Offer(Raising, "nlights-wrong", "1"))
+    raised = run_contract(Offer(Raising, "nlights-wrong", "1"))
     assert any(
         "ZeroDivisionError: division by zero (test_plugin_commands.py:" in rule for rule in raised.broken
     )
 
 
 def test_an_option_without_a_default_is_named():
-    assert "no default for strictness" in verdict(Offer(Fussy, "nlights-wrong", "1")).unchecked
+    assert "no default for strictness" in run_contract(Offer(Fussy, "nlights-wrong", "1")).unchecked
 
 
 def test_plugins_are_chosen_by_name_or_distribution():
     registry = installed()
-    assert [o.algorithm.name for o in chosen(registry, ["simchony"])] == ["simchony"]
-    assert len(chosen(registry, ["nlights"])) == len(chosen(registry, [], everything=True)) - len(
-        chosen(registry, [])
-    )
-    assert all(o.distribution != "nlights" for o in chosen(registry, []))
+    assert [o.algorithm.name for o in choose_offers(registry, ["simchony"])] == ["simchony"]
+    assert len(choose_offers(registry, ["nlights"])) == len(
+        choose_offers(registry, [], everything=True)
+    ) - len(choose_offers(registry, []))
+    assert all(o.distribution != "nlights" for o in choose_offers(registry, []))
     with pytest.raises(PluginError, match="no algorithm or distribution is called 'simchoni'"):
-        chosen(registry, ["simchoni"])
+        choose_offers(registry, ["simchoni"])
 
 
 def test_check_says_what_is_broken_with_exit_code_1(tmp_path):

@@ -20,7 +20,7 @@ from nlights_flows.tolerance.stand_errors import (
     Sweep,
     along_axis,
     at_random,
-    chosen,
+    choose_sweep,
     of_strength,
     parse_errors,
     towards,
@@ -191,7 +191,7 @@ def test_options_that_make_no_sense_are_refused_in_a_sentence(options, words):
     given = {"stand": "horizontal", "axis": None, "errors": None, "random": False}
     given |= {"strength": None, "against": None, "draws": 1, "seed": 0}
     with pytest.raises(NlightsError, match=words):
-        chosen(**given | options)
+        choose_sweep(**given | options)
 
 
 def test_stands_with_other_lamps_cannot_be_compared():
@@ -277,7 +277,7 @@ def test_the_table_of_numbers_holds_every_draw(along_z, tmp_path):
 
 
 def test_the_verdict_names_the_tolerated_error_or_says_that_there_is_none(along_z):
-    sentences = list(tolerance_plots.verdict(along_z))
+    sentences = list(tolerance_plots.describe_tolerance(along_z))
     assert len(sentences) == 4
     assert sentences[0].startswith("without flat field, in the mean: 0.5 degrees kept not even by the right")
     assert "up to 1" in sentences[1]
