@@ -17,6 +17,7 @@ def block_means(array: Array, factor: int, out: Array) -> None:
     """Means of what is known in blocks of pixels (n * factor, W, C), NaN where under half of a block is."""
     rows, width, channels = out.shape
     # Down first, along the memory: so a core adds several neighbours at once.
+    # By column and channel, over the rows of a block: sum of the known values, and their number.
     total, known = np.empty(width * factor * channels), np.empty(width * factor * channels)
     for k in range(rows):
         total[:] = 0
@@ -62,6 +63,7 @@ def line_means(
         over = 0
         for i in range(lines):
             for j in range(m * block, (m + 1) * block):
+                # The brightest colour: one saturated colour makes the pixel saturated.
                 high = 0.0
                 for channel in range(sums.size):
                     number = np.float64(numbers[i, j, channel])

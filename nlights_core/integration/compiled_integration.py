@@ -51,6 +51,7 @@ def _slopes(
     too_steep = np.int32(0)
     for j in range(x.size):
         squared_sine = one + x[j] * x[j] + lean * lean - facing[j] * facing[j]
+        # So asked that NaN, of which every comparison is false, is too steep as well.
         too_steep += np.int32(not facing[j] * abs(facing[j]) > squared_sine * limit)
     unknown = 0
     if too_steep > 0:
@@ -69,6 +70,7 @@ def _slopes(
 @inner
 def _step(a: Float, b: Float, c: Float, d: Float, e: Float, f: Float, six: bool) -> Float:
     """The step from c to d by the formulas of `nlights_core.integration.poisson.height_steps`; 0 if unknown."""
+    # A sum with NaN is NaN: so each formula tells by itself whether all of its pixels are known.
     step = np.float32(0.5) * (c + d)
     if step != step:
         return np.float32(0)
@@ -103,6 +105,7 @@ def _steps(
 def _steps_along(slope: Array, known: bool, six: bool, out: Array) -> None:
     """Steps along a row whose slopes have margins of NaN, `HALO` wide."""
     n = out.size
+    # The outermost two steps reach into the margins, which are not known.
     for first, last, inside in ((0, 2, False), (2, n - 2, known), (max(n - 2, 2), n, False)):
         s = slope[first + 1 : last + HALO + 3]
         m = max(min(last, n) - first, 0)
@@ -140,6 +143,7 @@ def divergence(
     rows, columns = normals.shape[:2]
     nothing = np.float32(np.nan)
     # Margins of NaN: beyond the border nothing is known.
+    # Rings of rows: row i of the field is in slot i % _ROWS, until the row `_ROWS` further takes its place.
     across = np.full((_ROWS, columns + 2 * HALO), nothing, np.float32)
     down = np.full((_ROWS, columns), nothing, np.float32)
     known = np.zeros(_ROWS, np.bool_)
@@ -162,6 +166,7 @@ def divergence(
         r = i - HALO
         if r < first - 1:
             continue
+        # Slots of rows r - 2 to r + 2; row r + 3 is the last one.
         a, b, c, d, e = (r - 2) % _ROWS, (r - 1) % _ROWS, r % _ROWS, (r + 1) % _ROWS, (r + 2) % _ROWS
         whole = known[a] and known[b] and known[c] and known[d] and known[e] and known[last]
         _steps(down[a], down[b], down[c], down[d], down[e], down[last], whole, six, below)
@@ -170,6 +175,7 @@ def divergence(
             line = out[r - first]
             for j in range(columns):
                 line[j] = step[j + 1] - step[j] + (below[j] - above[j])
+        # This row's step down is the next row's step from above; the other buffer is free again.
         above, below = below, above
     return unknown
 
@@ -185,17 +191,22 @@ def solve_strip(spectrum: Array, eigenvalues: Array, first: int) -> None:
     """
     rows = spectrum.shape[0]
     width = min(STRIP, spectrum.shape[1] - first)
+    # Of each row and wave: eliminated right-hand side, and one over the pivot.
     height = np.empty((rows, STRIP))
     factor = np.empty((rows, STRIP))
+    # Of the row before: one over the pivot, and the eliminated right-hand side, on the way back the solution.
     before, found = np.zeros(STRIP), np.zeros(STRIP)
+    # Pivots converge: from this row on they are the same to the last bit, but for the last row's.
     settled = rows
     for i in range(rows):
         line = spectrum[i, first : first + width]
+        # Neighbours of the row: one at either border, where the ends are free.
         own = 1.0 * (i > 0) + 1.0 * (i < rows - 1)
         if i <= settled or i == rows - 1:
             change = 0.0
             for k in range(width):
                 diagonal = -own - eigenvalues[first + k] - before[k]
+                # Only the last pivot of the constant wave is 0: its height is free, and becomes 0.
                 value = 1 / diagonal if diagonal != 0 else 0.0
                 change = max(change, abs(value - before[k]))
                 before[k] = value

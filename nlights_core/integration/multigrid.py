@@ -53,6 +53,7 @@ def weighted_laplacian(height: Array, across: Array, down: Array) -> Array:
     >>> weighted_laplacian(np.array([[0.0, 1.0, 3.0]]), np.array([[1.0, 10.0]]), np.empty((0, 3)))
     array([[ -1., -19.,  20.]])
     """
+    # Each step counts for its two pixels with the same rounding, so that the sum over an island stays 0.
     excess = np.zeros_like(height)
     for lines in row_slices(len(height)):
         steps = np.diff(height[lines], axis=1) * across[lines]
@@ -174,6 +175,7 @@ class Multigrid:
         level = self._levels[depth]
         height = residual * level.inverse_diagonal
         height *= np.float32(DAMPING)
+        # What the step has left goes to the coarser grid: a block's equation is the sum of its pixels'.
         left = np.empty_like(residual)
         subtract_laplacian(residual, 1.0, height, level.across, level.down, left)
         coarse = _block_sums(left)
@@ -193,6 +195,7 @@ class Multigrid:
             return first
         level = self._levels[depth]
         stiffness = laplacian_product(first, first, level.across, level.down)
+        # Not positive only where there is nothing to correct.
         if stiffness <= 0:
             return first
         length = _dot(first, residual) / stiffness
@@ -202,6 +205,7 @@ class Multigrid:
             first *= np.float32(length)
             return first
         second = self._cycle(depth, left)
+        # What the second step has of the first one is taken off it, in the norm of the Laplacian.
         common = laplacian_product(second, first, level.across, level.down) / stiffness
         second_stiffness = laplacian_product(second, second, level.across, level.down) - common**2 * stiffness
         second_length = _dot(second, left) / second_stiffness if second_stiffness > 0 else 0.0
@@ -234,13 +238,16 @@ def _jacobi(height: Array, residual: Array, inverse_diagonal: Array) -> None:
 
 def _joined(weights: Array) -> Array:
     """Weights of steps along lines, for blocks of two by two: sums over what crosses their border."""
+    # Steps between odd and even columns cross a border; the others are inside of blocks.
     crossing = weights[:, 1::2]
     joined = crossing[0::2].copy()
+    # A last row without a partner is a block of its own.
     joined[: len(crossing) // 2] += crossing[1::2]
     return joined
 
 
 def _block_sums(values: Array) -> Array:
+    # First pairs of columns, then pairs of rows; a last one without a partner stands alone.
     columns = values[:, 0::2].copy()
     columns[:, : values.shape[1] // 2] += values[:, 1::2]
     sums = columns[0::2].copy()
@@ -261,6 +268,7 @@ def _inverse(level: _Level) -> Array:
     shape = level.inverse_diagonal.shape
     units = np.eye(level.inverse_diagonal.size).reshape(-1, *shape)
     columns = [weighted_laplacian(unit, level.across, level.down).ravel() for unit in units]
+    # The Laplacian of a constant on an island is 0: the pseudo-inverse gives heights of mean 0 there.
     inverse: Array = np.linalg.pinv(np.array(columns), rcond=1e-12, hermitian=True)
     return inverse
 
@@ -298,6 +306,7 @@ def solve_weighted(
     """
     across, down = weights
     preconditioner = Multigrid(across, down)
+    # Here ``residual`` still is the right-hand side, that of a plane; only then the start is taken off.
     enough = tolerance**2 * _dot(residual, preconditioner.correct(residual))
     subtract_laplacian(residual, 1.0, height, across, down, residual)
     direction = np.zeros(height.shape, np.float32)
@@ -306,6 +315,7 @@ def solve_weighted(
         correction = preconditioner.correct(residual)
         if _dot(residual, correction) <= enough:
             break
+        # Orthogonal to the last direction itself: the preconditioner is not linear, so the short formula fails.
         share = np.float32(-laplacian_product(correction, direction, across, down) / stiffness)
         for lines in row_slices(len(height)):
             direction[lines] *= share

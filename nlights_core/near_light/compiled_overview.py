@@ -22,6 +22,7 @@ NORMAL = 9
 def _smallest_and_largest(m: Any, trace: float) -> tuple[float, float]:
     """Eigenvalues of a symmetric 3 x 3 matrix, as `least_squares.eigenvalues` finds them."""
     mean = trace / 3
+    # The matrix as its upper triangle: xx, xy, xz, yy, yz, zz.
     a, b, c = m[0] - mean, m[3] - mean, m[5] - mean
     spread = math.sqrt((a * a + b * b + c * c + 2 * (m[1] * m[1] + m[2] * m[2] + m[4] * m[4])) / 6)
     off = a * (b * c - m[4] * m[4]) - m[1] * (m[1] * c - m[4] * m[2]) + m[2] * (m[1] * m[4] - b * m[2])
@@ -50,6 +51,7 @@ def fit_normals(
     count, pixels = images.shape
     limit = condition * condition
     for p in range(pixels):
+        # Sums over the samples of w l l^T, and (b) of w I l.
         xx = xy = xz = yy = yz = zz = bx = by = bz = 0.0
         used = 0
         for i in range(count):
@@ -65,6 +67,7 @@ def fit_normals(
                 xx, xy, xz = xx + wx * x, xy + wx * y, xz + wx * z
                 yy, yz, zz = yy + wy * y, yz + wy * z, zz + wz * z
                 bx, by, bz = bx + value * x, by + value * y, bz + value * z
+        # The adjugate, whose product with the first row is the determinant.
         ixx, ixy, ixz = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
         iyy, iyz, izz = xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy
         determinant, trace = xx * ixx + xy * ixy + xz * ixz, xx + yy + zz
@@ -134,6 +137,7 @@ def predict_changes(
                 continue
             shown = lights[i, p, 0] * nx + lights[i, p, 1] * ny + lights[i, p, 2] * nz
             then = lights_above[i, p, 0] * nx + lights_above[i, p, 1] * ny + lights_above[i, p, 2] * nz
+            # What the other height does to the same photograph: its flat field is read elsewhere.
             brighter = above[i, p] / images[i, p] if images[i, p] != 0 else 1.0
             out[i, p] = (shown * brighter - then) / step
 
@@ -181,6 +185,7 @@ def add_normal_equations(
             solution[8, p],
         )
         per_variance = 1 / (scale * scale * math.sqrt(nx * nx + ny * ny + nz * nz))
+        # Sum of w l times the change by an offset, later the change of the normal that explains most of that.
         bx = by = bz = 0.0
         for i in range(count):
             x, y, z = np.float64(lights[i, p, 0]), np.float64(lights[i, p, 1]), np.float64(lights[i, p, 2])
@@ -193,12 +198,15 @@ def add_normal_equations(
         bx, by, bz = _times(inverse, bx, by, bz)
         own = rest = 0.0
         for i in range(count):
+            # What no change of the normal explains of the change by an offset.
             across = by_offset[i, p] - (of[i, 0] * bx + of[i, 1] * by + of[i, 2] * bz)
             weighted = of[i, 7] * across
             if of[i, 7] > 0:
                 own += weighted * by_offset[i, p]
                 rest += weighted * (images[i, p] - of[i, 6])
+            # Slot 8, the mixed product: of offset and this lamp's strength.
             of[i, 8] = -weighted * of[i, 6]
+        # Unknown 0 is the offset, k + 1 the logarithm of lamp k's strength.
         matrix[0, 0] += own
         right[0] -= rest
         for k in range(count):
@@ -210,6 +218,7 @@ def add_normal_equations(
             for m in range(k, count):
                 shared = of[k, 0] * of[m, 3] + of[k, 1] * of[m, 4] + of[k, 2] * of[m, 5]
                 other = bends[m, p]
+                # A strength bends the height too, and so has a share in the offset's products.
                 both = bend * of[m, 8] + other * of[k, 8] - bend * other * own
                 matrix[k + 1, m + 1] -= lit * shared * weights[m, p] * of[m, 6] + both
     return known

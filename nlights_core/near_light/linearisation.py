@@ -98,6 +98,7 @@ class Linearised:
         albedo = np.sqrt(np.sum(scaled**2, axis=0))
         known = np.isfinite(albedo)
         count = len(self.images)
+        # One over the variance: photons make it grow with the albedo, the scale measures how much there is.
         weights = np.where(known, self.weights / (scale**2 * albedo), 0)
         lights = self.lights.astype(np.float64)
         residual = np.nan_to_num(_residuals(self.images, lights, scaled))
@@ -109,11 +110,13 @@ class Linearised:
         rest = np.sum(weights * across * residual, axis=0)
         mixed = -weights * across * shown
         matrix[0, 0], right[0] = np.sum(own), -np.sum(rest)
+        # The inverse normal matrix times each light.
         turned = [least_squares.multiply(inverse, light.T) for light in lights]
         for k, bend in enumerate(self.bends):
             matrix[0, k + 1] = np.sum(mixed[k] - bend * own)
             right[k + 1] = np.sum(weights[k] * shown[k] * residual[k] + bend * rest)
             for m in range(k, count):
+                # Of a change of lamp m, the share that turns the normal and so shows under lamp k.
                 shared = np.sum(lights[k].T * turned[m], axis=0) * self.weights[m]
                 off = (k == m) - np.where(known, shared, 0)
                 other = self.bends[m]
@@ -157,6 +160,7 @@ def linearise(
         rays = np.ascontiguousarray(np.broadcast_to(band.lights, (*images.shape, 3)))
         return images.reshape(count, -1), rays.reshape(count, -1, 3), weights.reshape(count, -1)
 
+    # Weights are those at the offset itself: a sample is in shadow or not, however small the step.
     images, rays, weights = developed(offset)
     above, rays_above, _ = developed(offset + STEP)
     usable = least_squares.lit(images, weights, SHADOW).astype(np.float64)
@@ -178,6 +182,7 @@ def _fit_normals(images: Array, lights: Array, weights: Array) -> tuple[Array, A
     albedo = np.sqrt(np.sum(found.scaled**2, axis=0))
     residual = _residuals(images, lights, found.scaled)
     with np.errstate(divide="ignore", invalid="ignore"):
+        # By photons the variance is albedo over weight.
         surprise = np.where(weights > 0, np.abs(residual) * np.sqrt(weights / albedo), np.nan)
     return np.concatenate([found.scaled, found.inverse]), surprise
 
@@ -197,6 +202,7 @@ def _predict_changes(
         predict_changes(images, lights, above, lights_above, solution, STEP, out)
         return out
     shown = images - _residuals(images, lights, solution[:3])
+    # What the other height does to the same photograph: its flat field is read elsewhere.
     brighter = np.divide(above, images, out=np.ones_like(images), where=images != 0)
     return np.nan_to_num(_residuals(shown * brighter, lights_above, solution[:3]) / STEP)
 

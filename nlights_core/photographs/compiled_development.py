@@ -316,9 +316,11 @@ def _bilinear(cell: Array, at: int, right: Any, down: Any) -> Any:
 @numba.njit(inline="always")
 def _power_of_two(exponent: Any) -> Any:
     """2^exponent: the whole part goes into the exponent of the number, the rest into a series."""
+    # The sum has no place for a fraction: it is rounded, and its lowest bits are the whole part.
     shifted = np.float32(exponent + _WHOLE)
     r = exponent - (shifted - _WHOLE)
     rest = np.float32(ONE + r * (_E1 + r * (_E2 + r * (_E3 + r * (_E4 + r * (_E5 + r * _E6))))))
+    # Moved up by 23 bits, the whole part adds to the exponent of ``rest``, which is near 1.
     return np.int32(rest.view(np.int32) + np.int32(shifted.view(np.int32) << 23)).view(np.float32)
 
 
@@ -334,6 +336,7 @@ def _divide(lamp: Array, most: np.float32, of: Array, sample: Array, colours: Ar
         blue = _power_of_two(of[INVERSE + 2 * BLOCK + p] + of[_LENS + p])
         variance = red_noise * red + green_noise * green + blue_noise * blue
         known = max(red, max(green, blue)) < most
+        # Between here and `_weigh`, `USABLE` is the variance by photons.
         sample[USABLE + p] = variance * sample[USABLE + p] if known else ZERO
         red = of[LIGHT + p] * red_power * (red if known else ONE)
         green = of[LIGHT + BLOCK + p] * green_power * (green if known else ONE)
@@ -351,6 +354,7 @@ def _weigh(
     What is left out has value and weights 0, as `nlights_core.solving.compiled_solutions.mark_usable` leaves it.
     """
     for p in range(BLOCK):
+        # Places in the flat field are done with: now sum, number and largest of the used values,
         of[_RIGHT + p], of[_DOWN + p], of[_CELL + p] = ZERO, ZERO, ZERO
     for i in range(len(samples)):
         sample = samples[i]
@@ -362,6 +366,7 @@ def _weigh(
             of[_CELL + p] = max(of[_CELL + p], value)
     for p in range(BLOCK):
         reading = max(of[_RIGHT + p] / max(of[_DOWN + p], ONE), TINY)
+        # then the readout's part beside the photons', and the values up to which a sample is not lit, or in shadow.
         of[_RIGHT + p] = readout / reading
         of[_DOWN + p] = of[_CELL + p] * lit if lit > ZERO else -np.float32(np.inf)
         of[_CELL + p] *= shadow

@@ -59,6 +59,7 @@ def relate(
     for i in range(points.shape[1]):
         for j in range(points.shape[2]):
             rx, ry = sx - points[0, i, j], sy - points[1, i, j]
+            # To the plane, where the flat was, the ray is longer by this factor than to the point; it ends at x, y.
             stretch = sz / (sz - points[2, i, j])
             factor = stretch * stretch * stretch / sz
             lights[i, j, 0], lights[i, j, 1] = rx * factor, ry * factor
@@ -66,6 +67,7 @@ def relate(
             x, y = sx - rx * stretch, sy - ry * stretch
             column = min(max((x - place[0]) / place[2], 0.0), right - 1.0)
             row = min(max((place[1] - y) / place[2], 0.0), down - 1.0)
+            # First corner of the cell and place in it (s, t), clipped: farther out the flat field is not known.
             left, above = min(int(column), max(right - 2, 0)), min(int(row), max(down - 2, 0))
             after, below = min(left + 1, right - 1), min(above + 1, down - 1)
             s, t = column - left, row - above
@@ -73,6 +75,7 @@ def relate(
             if seen.size:
                 met = 1 + ((x - lens[0]) ** 2 + (y - lens[1]) ** 2) * lens[2]
                 dimmed = lens[3] * -2 * math.log(seen[i, j] / met)
+            # Of all colours together: one that is not usable spoils the sample.
             usable, variance = True, 0.0
             for c in range(channels):
                 first = flat_field[above, left, c] * (1 - s) + flat_field[above, after, c] * s

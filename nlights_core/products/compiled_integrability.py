@@ -35,7 +35,9 @@ def steps_of_normals(
         for j in range(normals.shape[1]):
             nz = np.float64(normals[i, j, 2])
             p, q = -np.float64(normals[i, j, 0]), np.float64(normals[i, j, 1])
+            # Divided by how far the normal faces the ray, see `integration.sight_lines.facing_rays`.
             scale = size / (nz + p * x[j] - q * y[i])
+            # So asked that NaN is not above it either.
             if not nz > cosine:
                 scale = np.nan
             across[i, BEFORE + j] = p * scale
@@ -51,6 +53,7 @@ def _six_point(a: float, b: float, c: float, d: float, e: float, f: float) -> fl
 @inner
 def _fewer_points(a: float, b: float, c: float, d: float, e: float, f: float) -> float:
     """The step from c to d by its next formula whose pixels are all known."""
+    # A sum with NaN is NaN: so each formula tells by itself whether all of its pixels are known.
     step = (13 * (c + d) - (b + e)) / 24
     if step != step:
         step = (9 * c + 19 * d - 5 * e + f) / 24
@@ -89,6 +92,7 @@ def subtract_height_steps(slope: Array, height: Array, distance: float, rise: in
     run = 1 - rise
     out[:] = 0
     for i in range(rows - rise):
+        # With the margin of two in front, a step's six pixels begin at the number of its first one.
         a, b, c = slope[i], slope[i + rise], slope[i + 2 * rise]
         d, e, f = slope[i + 3 * rise], slope[i + 4 * rise], slope[i + 5 * rise]
         first, second, found = height[i], height[i + rise], out[i + 3 * rise]
@@ -102,6 +106,7 @@ def subtract_height_steps(slope: Array, height: Array, distance: float, rise: in
                 np.float64(f[j + 5 * run]),
             )
             rest = step - _height_step(np.float64(first[j]), np.float64(second[j + run]), distance)
+            # Behind a margin of three: the step from pixel j to the next stands at j + 3.
             found[j + 3 * run] = rest
         # A loop without branches runs on several pixels at once; the few left over come after it.
         for j in range(columns - run):
@@ -140,6 +145,7 @@ def correct_normals(
     for k in range(out.shape[0]):
         i = first + k
         for j in range(out.shape[1]):
+            # Of the margins' numbering: the step to pixel j stands at j + 2, the one from it at j + 3.
             p = (
                 np.float64(across[i, BEFORE + j])
                 - (
@@ -160,6 +166,7 @@ def correct_normals(
             )
             facing = size - p * x[j] + q * y[i]
             if p == p:
+                # The slopes, and how far the normal faces the ray, are the normal but for its length.
                 scale = 1 / math.sqrt(p * p + q * q + facing * facing)
                 out[k, j, 0] = -p * scale
                 out[k, j, 1] = q * scale
@@ -178,6 +185,7 @@ def smoothed_uncertainty(confidence: Array, first: int, own: float, around: floa
     for those beyond them.
     """
     rows, columns = confidence.shape
+    # By column, over three rows: sum of the known variances, and their number.
     total, known = np.empty(columns), np.empty(columns)
     for k in range(out.shape[0]):
         total[:] = 0

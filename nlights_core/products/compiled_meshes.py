@@ -23,6 +23,7 @@ def count(height: Array, rows: int) -> tuple[int, int]:
         if i + 1 < height.shape[0]:
             upper, lower = height[i], height[i + 1]
             for j in range(height.shape[1] - 1):
+                # NaN where one of the four is.
                 total = upper[j] + upper[j + 1] + lower[j] + lower[j + 1]
                 faces += 2 * (total == total)
     return vertices, faces
@@ -58,6 +59,7 @@ def faces(height: Array, rows: int, first: int, out: Array) -> None:
 
     ``height`` is of ``rows`` rows and the next; ``first`` is the number of the first known pixel.
     """
+    # Numbers of the vertices of two rows, -1 where not known; their buffers change places row by row.
     upper, lower = np.empty(height.shape[1], np.int32), np.empty(height.shape[1], np.int32)
     number, k = first, 0
     for i in range(min(rows + 1, height.shape[0])):
@@ -112,10 +114,12 @@ def split_errors(z: Array, size: int) -> Array:
         for i in range(0, rows, half):
             odd = (i // half) % 2 == 1
             for j in range(0 if odd else half, columns, 2 * half):
+                # The middle's side runs down on odd lines and along the row on even ones.
                 above, left = (half, 0) if odd else (0, half)
                 own = _bend(z[i - above, j - left], z[i, j], z[i + above, j + left])
                 step = half // 2
                 if step:
+                    # Middles of the next smaller triangles need this one: the round before has found them.
                     for k in (-step, step):
                         for m in (-step, step):
                             if 0 <= i + k < rows and 0 <= j + m < columns:
@@ -163,6 +167,7 @@ def network(
     vertices, faces : int
         If ``out`` is too short, how many there would be.
     """
+    # Row and column of three corners. Each level of splitting adds one triangle that waits, 128 are never reached.
     stack = np.empty((128, 6), np.int64)
     vertices = faces = 0
     for top in range(0, z.shape[0] - 1, size):
@@ -185,6 +190,7 @@ def network(
                 total = z[ai, aj] + z[bi, bj] + z[ci, cj]
                 if total != total:
                     continue
+                # Past the end of ``out`` it only counts on.
                 if faces < len(out):
                     for k, (i, j) in enumerate(((ai, aj), (bi, bj), (ci, cj))):
                         if number[i, j] < 0:
@@ -239,6 +245,7 @@ def deviation(
         area = bx * cy - by * cx
         if abs(area) < 1e-9:
             continue
+        # Slopes of the triangle's plane per column and per row, by Cramer's rule.
         across = ((b[2] - a[2]) * cy - by * (c[2] - a[2])) / area
         down = (bx * (c[2] - a[2]) - (b[2] - a[2]) * cx) / area
         # Each side is a line that bounds the rows on one hand: where it is at row 0, and its step per row.
@@ -255,6 +262,7 @@ def deviation(
             line, seen = height[i], reached[i - start]
             for j in range(left, right + 1):
                 distance = abs(plane + across * j - line[j])
+                # On a border of two triangles a pixel counts once; where the height is not known, not at all.
                 counts = distance == distance and not seen[j]
                 seen[j] = True
                 distance = distance if counts else 0.0
@@ -286,6 +294,7 @@ def _side(first: Array, second: Array, turn: float, slack: float) -> tuple[float
 @kernel
 def vertex_normals(points: Array, corners: Array, out: Array) -> None:
     """Unit normals (V, 3) float32 of a mesh's vertices: means of their faces', weighted by the angles there."""
+    # Sum of the normals of the faces around each vertex, by their angle there.
     total = np.zeros((len(points), 3))
     for face in range(len(corners)):
         a, b, c = points[corners[face, 0]], points[corners[face, 1]], points[corners[face, 2]]
@@ -300,6 +309,7 @@ def vertex_normals(points: Array, corners: Array, out: Array) -> None:
         first, second = math.atan2(area, uv), math.atan2(area, uu - uv)
         for k, angle in enumerate((first, second, math.pi - first - second)):
             vertex = corners[face, k]
+            # The cross product is as long as twice the area; divided by that it is the face's unit normal.
             total[vertex, 0] += x * angle / area
             total[vertex, 1] += y * angle / area
             total[vertex, 2] += z * angle / area

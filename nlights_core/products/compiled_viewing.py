@@ -34,6 +34,7 @@ def encoded(
     steep = table[0] / lowest
     for i in range(linear.size):
         value = linear[i]
+        # Negative below ``lowest``, where the curve is a line.
         place = bits[i] - first
         if value >= 1:
             curve = table[-1]
@@ -55,6 +56,7 @@ def normal_colours(normals: Array, out: Array) -> None:
     for i in range(normals.shape[0]):
         for j in range(normals.shape[1]):
             x, y, z = normals[i, j, 0], normals[i, j, 1], normals[i, j, 2]
+            # NaN is not equal to itself.
             known = x + y + z == x + y + z
             for k in range(3):
                 # The conversion cuts off what follows the point, so half a step more rounds.

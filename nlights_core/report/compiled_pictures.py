@@ -27,6 +27,7 @@ def hatched(colours: Array, known: Array, times: int, out: Array) -> None:
     """Colours (h, w, 3), each ``times`` x ``times`` pixels of ``out``, and grey stripes where not known."""
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):
+            # By place in the enlarged picture, so that stripes run on from pixel to pixel.
             stripe = np.uint8(196 if (i + j) // 5 % 2 else 164)
             valid = known[i // times, j // times]
             for k in range(3):

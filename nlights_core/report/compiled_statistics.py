@@ -36,6 +36,7 @@ SERIES = tuple(
 @kernel
 def known_sum(values: Array) -> tuple[float, int]:
     """Sum and number of the finite ones of some values (N,)."""
+    # Lane k has every `LANES`-th value, from value k on.
     total, known = np.zeros(LANES), np.zeros(LANES, np.int64)
     for start in range(0, values.size, LANES):
         part = values[start : start + LANES]
@@ -87,9 +88,11 @@ def inclinations(normals: Array) -> tuple[float, int]:
             x, y, z = first[k], second[k], third[k]
             across = math.sqrt(x * x + y * y)
             along = math.sqrt(x * x + y * y + z * z) + z
+            # Beyond a right angle the series gets the reciprocal, and the angle is pi less what it gives.
             turned = across > along
             half = (along if turned else across) / (across if turned else along)
             square = half * half
+            # From the highest power down, two terms at a time.
             series = SERIES[7]
             series = SERIES[5] + square * (SERIES[6] + square * series)
             series = SERIES[3] + square * (SERIES[4] + square * series)
@@ -111,6 +114,7 @@ def sum_misclosures(normals: Array, steepest: np.float32) -> tuple[float, int]:
     columns = normals.shape[1]
     first, second = np.empty(columns, np.float32), np.empty(columns, np.float32)
     third = np.empty(columns, np.float32)
+    # Slopes of the row at hand, per column and per row.
     p, q = np.empty(columns, np.float32), np.empty(columns, np.float32)
     # The part of the walk along the row above.
     below = np.empty(columns - 1)
@@ -128,6 +132,7 @@ def sum_misclosures(normals: Array, steepest: np.float32) -> tuple[float, int]:
         if i > 0:
             for j in range(columns - 1):
                 along, turn = np.float64(p[j]) + np.float64(p[j + 1]), np.float64(q[j + 1]) - np.float64(q[j])
+                # The walk, twice m: the row above, the right side down, this row back, the left side up.
                 missed = (below[j] - along + turn) / 2
                 valid = abs(missed) < np.inf
                 total[j] += missed * missed if valid else 0.0

@@ -86,7 +86,10 @@ def _trim(samples: Array, rows: Array, darkest: float, brightest: float) -> None
 
     A sample is at least as bright as the one of a rank if more samples than that are no brighter.
     """
+    # Rows: ranks of the first and the last sample that are kept; how many are no brighter than the sample at
+    # hand, and how many are darker.  Counts and ranks are whole numbers, which single precision holds exactly.
     first, last, upto, below = rows[0], rows[1], rows[2], rows[3]
+    # For the moment the second row holds the number of usable samples.
     count_usable(samples, last)
     for p in range(BLOCK):
         count = np.float64(last[p])
@@ -96,6 +99,7 @@ def _trim(samples: Array, rows: Array, darkest: float, brightest: float) -> None
         own = samples[i]
         for p in range(BLOCK):
             upto[p], below[p] = ZERO, ZERO
+        # Each is compared with all: of a few lights that is cheaper than sorting, which branches.
         for j in range(len(samples)):
             other = samples[j]
             for p in range(BLOCK):
@@ -114,6 +118,8 @@ def _discard(samples: Array, fit: Array, rows: Array, keep: int, condition: floa
     A discard that would leave badly spread lights is not made.  Whether one is, single precision
     cannot always tell; such pixels are begun anew in double precision.
     """
+    # Rows: samples still used; place of the one that goes next, or -1; samples used when single precision last
+    # was not sure of the fit, or 0; scratch of `_find_worst`.
     counts, worst, unsure, largest = rows[0], rows[1], rows[2], rows[3]
     sure = sure_determinant(condition)
     count_usable(samples, counts)
@@ -124,6 +130,7 @@ def _discard(samples: Array, fit: Array, rows: Array, keep: int, condition: floa
         refine_fits(samples, fit)
         _find_worst(samples, fit, largest, worst)
         for p in range(BLOCK):
+            # A place that no sample has: nothing is discarded.
             worst[p] = worst[p] if counts[p] > keep else -ONE
         for i in range(len(samples)):
             for p in range(BLOCK):
@@ -132,6 +139,7 @@ def _discard(samples: Array, fit: Array, rows: Array, keep: int, condition: floa
         normal_equations(samples, fit)
         invert_normal_matrices(fit)
         for p in range(BLOCK):
+            # Before the count falls: a pixel that has no more than ``keep`` discards nothing, and need not be sure.
             unsure[p] = unsure[p] if fit[DETERMINANT + p] > sure else counts[p]
             counts[p] -= ONE if counts[p] > keep else ZERO
     for p in range(BLOCK):
@@ -150,6 +158,7 @@ def _deleted_residual(of: Array, fit: Array, p: int) -> Any:
 def _find_worst(samples: Array, fit: Array, largest: Array, worst: Array) -> None:
     """Place of the sample of each pixel that the others predict worst."""
     for p in range(BLOCK):
+        # Less than any square, so that the first used sample is taken.
         largest[p], worst[p] = -ONE, ZERO
     for i in range(len(samples)):
         of, which = samples[i], np.float32(i)
@@ -180,6 +189,7 @@ def _discard_exactly(samples: Array, fit: Array, p: int, keep: int, condition: f
         samples[worst, TRIAL + p] = ZERO
         known = solve_exactly(samples, fit, p, TRIAL, condition)
         if not known:
+            # Without this sample nothing is determined: it stays, and nobody goes.
             samples[worst, TRIAL + p] = weight
             return
         count -= 1

@@ -54,6 +54,7 @@ def deliver(blocks: Blocks, found: Array, first: int, white: np.float32, images:
     for block in range(len(found)):
         row, column = (first + block) // across, (first + block) % across * BLOCK
         if row >= rows:
+            # Of the last blocks that are worked on together, some may lie past the strip's end.
             return
         size = min(columns - column, BLOCK)
         here = slice(column, column + size)
@@ -88,6 +89,7 @@ def take_solution(
     for block in range(len(found)):
         row, column = block // across, block % across * BLOCK
         of = found[block]
+        # Also past the end of a row, where no pixel says anything.
         of[:] = np.float32(np.nan)
         for p in range(min(columns - column, BLOCK)):
             for k in range(3):
@@ -109,6 +111,8 @@ def take_solution(
 @inner
 def _colour(samples: Array, colours: Array, found: Array, white: np.float32, of: Array) -> None:
     """Albedo (`LIGHT`) and reflection (`INVERSE`) of every channel, number of used lights."""
+    # The photographs' light and flat field are done with: of each colour `LIGHT` becomes the sum of w s I, s being
+    # the shading, and `INVERSE` the sum of I over all lights, used or not.
     for k in range(LIGHT, SCRATCH):
         of[k] = ZERO
     for p in range(BLOCK):
@@ -133,6 +137,7 @@ def _colour(samples: Array, colours: Array, found: Array, white: np.float32, of:
             of[INVERSE + 2 * BLOCK + p] += blue
     for p in range(BLOCK):
         known = of[_TOTAL + p] > ZERO
+        # Least squares with the normal known: sum of w s I over that of w s^2; NaN where no light was used.
         per_total = white / of[_TOTAL + p] if known else np.float32(np.nan)
         per_upward = white / of[_UPWARD + p]
         red, green, blue = (
@@ -191,6 +196,7 @@ def strip_solver(kernel_name: Kernel) -> Callable[..., None]:
         images: Images,
     ) -> None:
         across = (len(strip.x) + BLOCK - 1) // BLOCK
+        # All of a strip's blocks at once would not stay in the processor's cache: as many as ``work`` has room for.
         for first in range(0, len(strip.y) * across, len(work.samples)):
             develop(strip, optics, first, shadow, lit, blocks)
             fit(work, limits)

@@ -46,6 +46,7 @@ class Work(NamedTuple):
         The inverse of the standard deviation of each sample, and residuals in its units.
     rows : (10, BLOCK) float32 array
     places : (3, BLOCK) int64 array
+        Scratch: who works with them says what each row holds.
     triplets : (T, 3) int64 array
         Places of lights.
     said : (4, T, BLOCK) float32 array
@@ -79,6 +80,7 @@ def count_usable(samples: Array, counts: Array) -> None:
 @inner
 def normal_equations(samples: Array, fit: Array) -> None:
     """Sums of ``w l l^T`` and ``w I l`` with the trial weights: `MATRIX` and `RIGHT` of a fit."""
+    # Matrix and right-hand side stand side by side: one loop empties both.
     for k in range(MATRIX, DETERMINANT):
         fit[k] = ZERO
     for i in range(len(samples)):
@@ -115,16 +117,20 @@ def invert_normal_matrices(fit: Array) -> None:
     for p in range(BLOCK):
         xx, xy, xz = fit[MATRIX + p], fit[MATRIX + BLOCK + p], fit[MATRIX + 2 * BLOCK + p]
         yy, yz, zz = fit[MATRIX + 3 * BLOCK + p], fit[MATRIX + 4 * BLOCK + p], fit[MATRIX + 5 * BLOCK + p]
+        # A pixel without any sample has a matrix of 0: `TINY` keeps it finite, its determinant of 0 tells it apart.
         unit = ONE / max(xx + yy + zz, TINY)
         xx, xy, xz, yy, yz, zz = xx * unit, xy * unit, xz * unit, yy * unit, yz * unit, zz * unit
+        # The adjugate, from now on of the matrix with a trace of 1.
         ixx, ixy, ixz = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
         iyy, iyz, izz = xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy
         found = xx * ixx + xy * ixy + xz * ixz
         fit[DETERMINANT + p] = found
+        # The inverse of the matrix as it was given: ``unit`` undoes the scaling.
         scale = unit / max(found, TINY)
         fit[MATRIX + p], fit[MATRIX + BLOCK + p] = ixx * scale, ixy * scale
         fit[MATRIX + 2 * BLOCK + p], fit[MATRIX + 3 * BLOCK + p] = ixz * scale, iyy * scale
         fit[MATRIX + 4 * BLOCK + p], fit[MATRIX + 5 * BLOCK + p] = iyz * scale, izz * scale
+        # From 0 on, so that the solution is the first correction.
         fit[SCALED + p], fit[SCALED + BLOCK + p], fit[SCALED + 2 * BLOCK + p] = ZERO, ZERO, ZERO
     add_correction(fit)
 
@@ -162,6 +168,7 @@ def leverage_of(of: Array, fit: Array, p: int) -> Any:
     x, y, z = of[X + p], of[Y + p], of[Z + p]
     xx, xy, xz = fit[MATRIX + p], fit[MATRIX + BLOCK + p], fit[MATRIX + 2 * BLOCK + p]
     yy, yz, zz = fit[MATRIX + 3 * BLOCK + p], fit[MATRIX + 4 * BLOCK + p], fit[MATRIX + 5 * BLOCK + p]
+    # Of a symmetric matrix each element beside the diagonal counts twice.
     own = xx * x * x + yy * y * y + zz * z * z
     return own + np.float32(2) * (xy * x * y + xz * x * z + yz * y * z)
 
@@ -169,6 +176,7 @@ def leverage_of(of: Array, fit: Array, p: int) -> Any:
 @inner
 def refine_fits(samples: Array, fit: Array) -> None:
     """One step of iterative refinement: single precision becomes as good as double would be."""
+    # `RIGHT` becomes that of the residuals; `MATRIX` holds the inverse and stays.
     for k in range(RIGHT, DETERMINANT):
         fit[k] = ZERO
     for i in range(len(samples)):
@@ -187,6 +195,7 @@ def solve_exactly(samples: Array, fit: Array, p: int, which: int, condition: flo
 
     False, and nothing is changed, where it cannot be known: of fewer than three samples, or badly spread ones.
     """
+    # Sums over the samples of w l l^T, and (v) of w I l.
     xx = xy = xz = yy = yz = zz = vx = vy = vz = 0.0
     count = 0
     for i in range(len(samples)):
@@ -208,6 +217,7 @@ def solve_exactly(samples: Array, fit: Array, p: int, which: int, condition: flo
     determinant = xx * ixx + xy * ixy + xz * ixz
     if count < 3 or not determinant > 0 or not _is_well_conditioned(xx, xy, xz, yy, yz, zz, condition):
         return False
+    # The inverse's upper triangle in two rows of three: xx, xy, xz and yy, yz, zz.
     inverse = (ixx / determinant, ixy / determinant, ixz / determinant)
     lower = (iyy / determinant, iyz / determinant, izz / determinant)
     for k in range(3):
@@ -230,5 +240,6 @@ def _is_well_conditioned(
     determinant = a * (b * c - yz * yz) - xy * (xy * c - yz * xz) + xz * (xy * yz - b * xz)
     cosine = determinant / (2 * spread**3) if spread > 0 else 1.0
     angle = np.arccos(min(max(cosine, -1.0), 1.0)) / 3
+    # Three roots, a third of a circle apart: this angle gives the largest, a third more the smallest.
     smallest = mean + 2 * spread * np.cos(angle + 2 * np.pi / 3)
     return smallest > 0 and mean + 2 * spread * np.cos(angle) <= condition**2 * smallest

@@ -33,7 +33,9 @@ def take_medians(samples: Array, fit: Array, work: Work, condition: float) -> No
     for p in range(BLOCK):
         if not fit[DETERMINANT + p] > sure:
             # Whoever looks at it later need not solve it again.
+            # So it holds 1 or -1 here, and no determinant: known, or not.
             fit[DETERMINANT + p] = ONE if solve_exactly(samples, fit, p, TRIAL, condition) else -ONE
+    # Rows: sum of all shares; sum of those below the number on trial; the median.
     total, below, found = work.rows[0], work.rows[1], work.rows[2]
     for p in range(BLOCK):
         total[p] = ZERO
@@ -56,6 +58,7 @@ def _solve_triplets(samples: Array, triplets: Array, said: Array) -> None:
             ax, ay, az = a[X + p], a[Y + p], a[Z + p]
             bx, by, bz = b[X + p], b[Y + p], b[Z + p]
             cx, cy, cz = c[X + p], c[Y + p], c[Z + p]
+            # Cramer's rule: cross products of two lights over the volume that the three span.
             bcx, bcy, bcz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
             volume = ax * bcx + ay * bcy + az * bcz
             divisor = ONE if volume == ZERO else volume
@@ -63,6 +66,7 @@ def _solve_triplets(samples: Array, triplets: Array, said: Array) -> None:
             said[0, t, p] = (va * bcx + vb * (cy * az - cz * ay) + vc * (ay * bz - az * by)) / divisor
             said[1, t, p] = (va * bcy + vb * (cz * ax - cx * az) + vc * (az * bx - ax * bz)) / divisor
             said[2, t, p] = (va * bcz + vb * (cx * ay - cy * ax) + vc * (ax * by - ay * bx)) / divisor
+            # The squared volume makes a triplet in one plane, whose three numbers mean nothing, count nothing.
             said[3, t, p] = volume * volume * a[USABLE + p] * b[USABLE + p] * c[USABLE + p]
 
 
@@ -77,6 +81,7 @@ def _median(values: Array, shares: Array, total: Array, below: Array, median: Ar
     bits, found = values.view(np.int32), median.view(np.int32)
     for t in range(len(bits)):
         for p in range(BLOCK):
+            # The shift repeats the sign: all other bits of a negative number are turned round, those of others stay.
             bits[t, p] ^= (bits[t, p] >> 31) & _OTHERS
     for p in range(BLOCK):
         found[p] = _SIGN

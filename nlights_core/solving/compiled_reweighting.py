@@ -68,6 +68,7 @@ def find_doubtful(samples: Array, fit: Array, worst: Array, counts: Array, chose
         How many they are.
     """
     for p in range(BLOCK):
+        # The largest squared residual in units of its variance, and the number of usable samples.
         worst[p] = ZERO
         counts[p] = ZERO
     for i in range(len(samples)):
@@ -75,6 +76,7 @@ def find_doubtful(samples: Array, fit: Array, worst: Array, counts: Array, chose
         for p in range(BLOCK):
             squared = _albedo_squared(fit, p)
             weight = of[USABLE + p]
+            # The variance times the weight: so an unused sample needs no division by 0.
             variance = _photon_variance(squared) + weight * _MODEL_VARIANCE * squared
             missed = residual_of(of, fit, p)
             surprise = missed * missed * weight / variance
@@ -108,12 +110,17 @@ def reweigh_by_biweight(samples: Array, fit: Array, noise: Array, rows: Array, q
     rows : (10, BLOCK) array
         Scratch.
     quantiles : (L + 1,) array
-        By the number of usable lights, the quantile of `robust_fitting.scale_quantile`.
+        By the number of usable lights, the quantile of `robust_fitting.scale_quantiles`.
     """
+    # Of each sample: one over its expected standard deviation; its residual, in units of that, from the L1 fit,
+    # later from the best one; and from the fit without the worst sample.
     precision, missed, other = noise[0], noise[1], noise[2]
+    # Rows: scale of the residuals, and of those without the worst sample; albedo times normal by least squares.
+    # Rows 5 and 6 are for `_fit_without_worst`, 7 to 9 for `_estimate_scales`.
     scale, other_scale, start = rows[0], rows[1], rows[2:5]
     for k in range(3):
         copy(fit[SCALED + k * BLOCK : SCALED + (k + 1) * BLOCK], start[k])
+    # Once, from the least-squares fit: all rounds measure residuals in the same units.
     _compute_precision(samples, fit, precision)
     for _ in range(ABSOLUTE_ROUNDS):
         _least_absolute_step(samples, fit, precision)
@@ -126,6 +133,7 @@ def reweigh_by_biweight(samples: Array, fit: Array, noise: Array, rows: Array, q
         _estimate_scales(samples, other, quantiles, other_scale, rows[7:])
         _keep_better(missed, other, scale, other_scale)
     for p in range(BLOCK):
+        # From here on the first row is one over the residual at which a weight becomes 0.
         scale[p] = ONE / (_TUKEY * max(scale[p], ONE))
     _biweigh(samples, missed, scale)
     for _ in range(BIWEIGHT_ROUNDS - 1):
@@ -156,6 +164,7 @@ def _least_absolute_step(samples: Array, fit: Array, precision: Array) -> None:
     for i in range(len(samples)):
         of, expected = samples[i], precision[i]
         for p in range(BLOCK):
+            # Below one standard deviation squares are kept: so weights stay finite.
             of[TRIAL + p] = of[USABLE + p] / max(abs(residual_of(of, fit, p)) * expected[p], ONE)
             add_sample(of, fit, p)
 
@@ -178,12 +187,16 @@ def _estimate_scales(samples: Array, missed: Array, quantiles: Array, scale: Arr
     rank is found bit by bit, from the highest: a bit is set if fewer than that many numbers are
     below what would result.
     """
+    # The same memory as whole numbers: the bits that are found are the scale.
     bits, found = missed.view(np.int32), scale.view(np.int32)
+    # Rows: number of usable samples; rank of the median of those that a fit of three unknowns does not make
+    # vanish; how many samples are below the number on trial.  Unused samples, infinite, come last.
     counts, ranks, below = rows[0], rows[1].view(np.int32), rows[2].view(np.int32)
     count_usable(samples, counts)
     for p in range(BLOCK):
         found[p] = 0
         ranks[p] = (np.int32(counts[p]) + 4) >> 1
+    # Bit 31 is the sign, which no absolute value has.
     for shift in range(30, -1, -1):
         bit = np.int32(1 << shift)
         for p in range(BLOCK):
@@ -212,6 +225,7 @@ def _fit_without_worst(
         worst[p] = -ONE
     normal_equations(samples, fit)
     invert_normal_matrices(fit)
+    # The inverse gives the leverages; the residuals are those of the fit that was begun with.
     for k in range(3):
         copy(start[k], fit[SCALED + k * BLOCK : SCALED + (k + 1) * BLOCK])
     for i in range(len(samples)):
@@ -219,6 +233,7 @@ def _fit_without_worst(
         for p in range(BLOCK):
             own = leverage_of(of, fit, p)
             surprise = residual_of(of, fit, p) * expected[p]
+            # By so much the sum of squares falls without the sample: its square over 1 - leverage.
             fall = surprise * surprise / max(ONE - of[USABLE + p] * own, _SMALLEST_REST)
             worst[p] = which if fall > largest[p] else worst[p]
             largest[p] = fall if fall > largest[p] else largest[p]
@@ -248,6 +263,7 @@ def _biweigh(samples: Array, missed: Array, per_reach: Array) -> None:
         of, surprise = samples[i], missed[i]
         for p in range(BLOCK):
             share = surprise[p] * per_reach[p]
+            # An unused sample is infinitely surprising; nothing is left of it.
             rest = max(ONE - share * share, ZERO)
             of[TRIAL + p] = of[USABLE + p] * rest * rest
 
@@ -262,12 +278,15 @@ def reweigh_blocks(work: Work) -> None:
         As for `nlights_core.solving.compiled_choices.fit_blocks`.
     """
     samples, fits, rows = work.samples, work.fits, work.rows
+    # Block and place in it of each pixel that waits to be gathered; doubtful pixels of the block at hand.
     which, chosen, fewer = work.places[0], work.places[1], work.places[2]
     waiting = np.int64(0)  # a plain 0 is a constant to the compiler, for which it would compile another copy
     for block in range(len(samples)):
         normal_equations(samples[block], fits[block])
         invert_normal_matrices(fits[block])
         found = find_doubtful(samples[block], fits[block], rows[0], rows[1], fewer)
+        # Mostly a few pixels of a block are doubtful, and are gathered; where it is more than half, copying costs
+        # more than working on all of the block.
         if found > BLOCK // 2:
             reweigh_by_biweight(samples[block], fits[block], work.noise, rows, work.quantiles)
             _undo_others(samples[block], fits[block], fewer[:found], rows[0])
@@ -286,6 +305,7 @@ def reweigh_blocks(work: Work) -> None:
 def _reweigh(work: Work, size: Any) -> None:
     """Collect pixels from their blocks into one, solve them by `reweigh_by_biweight`, and return them."""
     samples, fits, some, fit = work.samples, work.fits, work.some, work.fit
+    # Places from ``size`` on keep pixels of before: they are finite, worked on and not returned.
     for q in range(size):
         block, p = work.places[0, q], work.places[1, q]
         for i in range(len(some)):
@@ -294,6 +314,7 @@ def _reweigh(work: Work, size: Any) -> None:
         for k in range(0, FIT, BLOCK):
             fit[k + q] = fits[block, k + p]
     reweigh_by_biweight(some, fit, work.noise, work.rows, work.quantiles)
+    # The biweight leaves normal equations behind; their blocks want solutions.
     invert_normal_matrices(fit)
     for q in range(size):
         block, p = work.places[0, q], work.places[1, q]

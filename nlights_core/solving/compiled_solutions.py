@@ -60,6 +60,7 @@ def mark_usable(work: Work, shadow: np.float32) -> None:
     shadow : float32
         As `nlights_core.solving.least_squares.lit` has it.
     """
+    # Of each pixel the brightest value that is known: a shadow can be told only after all lights were seen.
     samples, brightest = work.samples, work.rows[0]
     for block in range(len(samples)):
         brightest[:] = -np.inf
@@ -75,6 +76,7 @@ def mark_usable(work: Work, shadow: np.float32) -> None:
         for i in range(samples.shape[1]):
             of = samples[block, i]
             for p in range(BLOCK):
+                # ``|`` and ``&`` do not branch, as ``or`` and ``and`` would: so the loop becomes vector instructions.
                 shown = (of[VALUE + p] > shadow * brightest[p]) | (shadow == ZERO)
                 of[VALUE + p] = of[VALUE + p] if shown else ZERO
                 weight = of[USABLE + p] if shown else ZERO
@@ -113,6 +115,7 @@ def load(images: Array, lights: Array, weights: Array, start: int, shadow: np.fl
                 rays = lights[i, first : first + size]
                 for p in range(size):
                     of[X + p], of[Y + p], of[Z + p] = rays[p, 0], rays[p, 1], rays[p, 2]
+            # Past the end everything is 0, weights too: such pixels are worked on like the others and never written.
             for k in range(0, SAMPLE, BLOCK):
                 of[k + size : k + BLOCK] = ZERO
     mark_usable(work, shadow)
@@ -131,15 +134,18 @@ def solve_blocks(work: Work, condition: float) -> None:
         As for `nlights_core.solving.least_squares.fit`.
     """
     sure = sure_determinant(condition)
+    # Nobody needs the gathered pixels' fit (`work.fit`) any more: four of its rows become those of `_sums`.
     samples, fits, found, rows = work.samples, work.fits, work.found, work.fit
     for block in range(len(samples)):
         of, fit = samples[block], fits[block]
         _sums(of, fit, rows)
         for p in range(BLOCK):
+            # Only few pixels are badly determined; for them single precision says neither whether nor what.
             if not (rows[p] >= 3 and fit[DETERMINANT + p] > sure):
                 _solve_pixel_exactly(of, fit, p, condition)
                 _sum_pixel(of, fit, rows, p)
         _finish(fit, rows, found[block])
+        # The first row, done with, becomes a mark: 1 where the normal is known.
         for p in range(BLOCK):
             rows[p] = ONE if found[block, ALBEDO + p] > ZERO else ZERO
         for i in range(len(of)):
@@ -155,6 +161,7 @@ def _add(of: Array, fit: Array, rows: Array, p: int) -> None:
     shown = of[X + p] * fit[SCALED + p] + of[Y + p] * fit[SCALED + BLOCK + p]
     shown += of[Z + p] * fit[SCALED + 2 * BLOCK + p]
     missed = of[VALUE + p] - shown
+    # Rows: number of used lights; sums of w, of w times the prediction, and of w times the squared residual.
     rows[p] += ONE if weight > ZERO else ZERO
     rows[BLOCK + p] += weight
     rows[2 * BLOCK + p] += weight * shown
@@ -194,10 +201,12 @@ def _finish(fit: Array, rows: Array, found: Array) -> None:
         x, y, z = x / albedo, y / albedo, z / albedo
         found[NORMAL + p], found[NORMAL + BLOCK + p], found[NORMAL + 2 * BLOCK + p] = x, y, z
         found[ALBEDO + p] = albedo
+        # Variance of a sample of weight 1 that photons alone would have: the mean reading over `PHOTONS`.
         foreseen = rows[2 * BLOCK + p] / (rows[BLOCK + p] * _PHOTONS)
         surprise = rows[3 * BLOCK + p] / foreseen
         freedom = max(rows[p] - np.float32(3), ZERO)
         variance = foreseen * (_FORESEEN + surprise) / (_FORESEEN + freedom)
+        # The inverse times the normal: what lies along the normal is the albedo's; the rest turns it.
         nx, ny, nz = xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, xz * x + yz * y + zz * z
         across = max(xx + yy + zz - (x * nx + y * ny + z * nz), ZERO)
         uncertainty = _DEGREES * np.sqrt(variance * across) / albedo
@@ -214,6 +223,7 @@ def _solve_pixel_exactly(samples: Array, fit: Array, p: int, condition: float) -
     for i in range(len(samples)):
         differ |= samples[i, TRIAL + p] != samples[i, USABLE + p]
         samples[i, TRIAL + p] = samples[i, USABLE + p]
+    # All usable samples are another attempt only where some of them had been discarded.
     if not (differ and solve_exactly(samples, fit, p, USABLE, condition)):
         for k in range(3):
             fit[SCALED + k * BLOCK + p] = _NAN

@@ -64,6 +64,7 @@ def in_blocks(
     Solution
         Of the whole band.
     """
+    # Rows and columns become one: pixels stand for themselves.
     count, *shape = images.shape
     pixels = images[0].size
     shared = lights.shape[1:3] == (1, 1)
@@ -117,6 +118,7 @@ def fit_fewer(
     again = fit(images[:, lost], rays, usable[:, lost], condition)
     kept = fewer.copy()
     kept[:, lost] = usable[:, lost]
+    # Scaled normal, inverse and smallest eigenvalue alike; pixels are their last axis.
     for whole, part in zip(found, again, strict=True):
         whole[..., lost] = part
     return kept, found
@@ -145,6 +147,7 @@ def trim_by_rank(images: Array, weights: Array, darkest: float, brightest: float
     """
     used = weights > 0
     count = np.count_nonzero(used, axis=0)
+    # Samples that are not usable come last, past all ranks that are asked for.
     ordered = np.sort(np.where(used, images, np.inf), axis=0)
     first = np.floor(darkest * count).astype(np.intp)
     last = np.maximum(np.floor((1 - brightest) * count).astype(np.intp) - 1, 0)
@@ -178,6 +181,7 @@ def median_of_triplets(images: Array, lights: Array, weights: Array, most: int) 
     said = np.empty((3, len(triplets), *images.shape[1:]), np.float32)
     shares = np.empty(said.shape[1:], np.float32)
     for t, (i, j, k) in enumerate(triplets):
+        # Cramer's rule: what multiplies the values of lights i, j and k, over the volume that the three span.
         across = [_cross(rays[a], rays[b]) for a, b in ((j, k), (k, i), (i, j))]
         volume = np.sum(rays[i] * across[0], axis=0)
         total = values[i] * across[0] + values[j] * across[1] + values[k] * across[2]
@@ -204,6 +208,7 @@ def _weighted_median(values: Array, weights: Array) -> Array:
     """Median along the first axis, each value counting by its weight; NaN without any."""
     order = np.argsort(values, axis=0)
     heaped = np.cumsum(np.take_along_axis(weights, order, axis=0), axis=0)
+    # The first value up to which there is half of all weights.
     middle = np.argmax(heaped >= heaped[-1] / 2, axis=0)
     chosen = np.take_along_axis(order, middle[None], axis=0)
     return np.where(heaped[-1] > 0, np.take_along_axis(values, chosen, axis=0)[0], np.nan)
@@ -279,6 +284,7 @@ def _precision(weights: Array, scaled: Array) -> Array:
     0 for a sample that is not used, or where the albedo is not known.
     """
     albedo = np.sqrt(np.sum(scaled**2, axis=0))
+    # Variance of a sample of weight 1; of the model's error it is the weight's multiple, divided out below.
     photons = albedo**2 / np.maximum(albedo, np.float32(DARKEST)) / np.float32(PHOTONS)
     variance = photons + weights * np.square(np.float32(MODEL_ERROR) * albedo)
     known = albedo > 0
@@ -300,10 +306,12 @@ def _reweigh_by_biweight(
     scaled = start
     for _ in range(ABSOLUTE_ROUNDS):
         missed = _standardised_residuals(images, lights, scaled, precision)
+        # Weights 1 / max(|u|, 1), over their own residuals.
         np.maximum(missed, np.float32(1), out=missed)
         scaled = _fit_single_precision(images, rays, squares, np.divide(weights, missed, out=missed))
     missed = _standardised_residuals(images, lights, scaled, precision)
     scale = _scale(missed, weights > 0)
+    # The L1 fit follows a wrong light of high leverage; the smaller scale tells which fit is the better one.
     if len(images) <= FEW:
         other = _residuals_without_worst(images, lights, weights, precision, start)
         other_scale = _scale(other, weights > 0)
@@ -327,6 +335,7 @@ def _residuals_without_worst(
     """
     rays, squares = _light_products(lights)
     inverse = _inverse(_sums(squares, weights))
+    # Leverages of samples of weight 1: elements beside the diagonal count twice.
     own = np.einsum("kln,kn->ln", squares, inverse * np.array([1, 2, 2, 1, 2, 1], np.float32)[:, None])
     fall = _standardised_residuals(images, lights, start, precision) ** 2 / np.maximum(
         1 - weights * own, np.float32(0.01)
@@ -385,6 +394,7 @@ def _scale(missed: Array, used: Array) -> Array:
     count = np.count_nonzero(used, axis=0)
     middle = (count + 4) // 2
     ordered = np.sort(np.where(used, missed, np.float32(np.inf)), axis=0)
+    # Ranks count from 1, places from 0.
     median = np.take_along_axis(ordered, middle[None] - 1, axis=0)[0]
     return np.asarray(median / scale_quantiles(len(used))[count])
 
@@ -406,5 +416,6 @@ def scale_quantiles(most: int) -> Array:
 
     count = np.arange(most + 1)
     # The r-th of m sorted uniform numbers is expected near r / (m + 1/2).
+    # Rank of the median among the k - 3 residuals that do not vanish, over k - 3 + 1/2.
     share = ((count + 4) // 2 - 3) / (count - 2.5)
     return np.where(count >= FEWEST, ndtri(0.5 + 0.5 * share), np.nan).astype(np.float32)
