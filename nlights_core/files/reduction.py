@@ -35,7 +35,7 @@ def bands_of_bytes(rows: int, row_bytes: int, multiple: int = 1) -> Iterator[sli
 
     Examples
     --------
-    >>> list(bands(5, BAND_BYTES // 2))
+    >>> list(bands_of_bytes(5, BAND_BYTES // 2))
     [slice(0, 2, None), slice(2, 4, None), slice(4, 5, None)]
     """
     height = max(1, BAND_BYTES // max(1, row_bytes) // multiple) * multiple

@@ -142,7 +142,7 @@ def trim_by_rank(images: Array, weights: Array, darkest: float, brightest: float
 
     Examples
     --------
-    >>> rank_trimmed(np.array([[3.0], [9.0], [1.0], [2.0]]), np.ones((4, 1)), 0.25, 0.25).ravel()
+    >>> trim_by_rank(np.array([[3.0], [9.0], [1.0], [2.0]]), np.ones((4, 1)), 0.25, 0.25).ravel()
     array([1., 0., 0., 1.], dtype=float32)
     """
     used = weights > 0

@@ -64,7 +64,7 @@ def learn_estimate(timed: Sequence[tuple[float, float]]) -> Estimate:
 
     Examples
     --------
-    >>> learnt([]) == Estimate(*SECONDS)
+    >>> learn_estimate([]) == Estimate(*SECONDS)
     True
     """
     from scipy.optimize import nnls
@@ -157,7 +157,7 @@ def format_bytes(size: float) -> str:
 
     Examples
     --------
-    >>> said(3.2e9), said(1.25e12)
+    >>> format_bytes(3.2e9), format_bytes(1.25e12)
     ('3.2 GB', '1.2 TB')
     """
     for unit, scale in (("TB", 1e12), ("GB", 1e9)):

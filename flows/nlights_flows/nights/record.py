@@ -139,7 +139,7 @@ def summarise_night(record: NightRecord) -> str:
     >>> tiles = [TileEntry("a", "done"), TileEntry("b", "left")]
     >>> night = NightRecord("2026-03-02", "2026-03-02", "", "", "", "default", "")
     >>> night.artworks = [ArtworkEntry("x", "", "x", "left", tiles=tiles), ArtworkEntry("y", "", "y", "failed")]
-    >>> verdict(night)
+    >>> summarise_night(night)
     '0 of 2 artworks done, 1 failed, 1 tile left for the next night'
     """
     states = Counter(artwork.state for artwork in record.artworks)
