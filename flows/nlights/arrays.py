@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from nlights.calling import told_in_python
 from nlights.maps import Map
-from nlights.wording import told_in_python
 from nlights_core.algorithms import Algorithm, Integrator, NormalSolver
 from nlights_core.contracts import verbs
 from nlights_core.fields import LightField, NormalField

@@ -8,13 +8,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from nlights.wording import in_python, told_in_python
+from nlights.calling import in_python, run_options, told_in_python
 from nlights_core.errors import TileError
 from nlights_core.files.tiffs import Compression
 from nlights_core.recipe import RecipeLike
 from nlights_flows.comparison.order import Order, carry_out, run_directly
 from nlights_flows.comparison.page import overall
-from nlights_flows.tiles.run_options import RunOptions
 
 
 @dataclass(frozen=True)
@@ -99,18 +98,7 @@ def compare(
     TileError
         When no two variants can be compared on any tile, naming what failed.
     """
-    options = RunOptions.of(
-        {
-            "out": out,
-            "store": store,
-            "stand": None if stand is None else str(stand),
-            "root": root,
-            "tiles": [tiles] if isinstance(tiles, str) else tiles,
-            "compression": compression,
-            "memory": memory,
-            "timeout": timeout,
-        }
-    )
+    options = run_options(locals())
     captures = [artworks] if isinstance(artworks, str | Path) else artworks
     order = Order([Path(path) for path in captures], recipes, grid, options, recipe)
     with told_in_python():

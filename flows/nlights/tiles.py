@@ -10,8 +10,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from nlights.calling import in_python, run_options, told_in_python
 from nlights.maps import Map
-from nlights.wording import in_python, told_in_python
 from nlights_core.errors import CaptureError, TileError
 from nlights_core.files.tiffs import Compression, read_tiff
 from nlights_core.frames import PixelGrid
@@ -19,7 +19,6 @@ from nlights_core.recipe import RecipeLike
 from nlights_core.report.figures import Number
 from nlights_core.stands import Stand
 from nlights_flows.tiles import direct
-from nlights_flows.tiles.run_options import RunOptions
 from nlights_flows.tiles.running import Outcome
 
 if TYPE_CHECKING:
@@ -256,20 +255,7 @@ def digitise(
     TileError
         When every tile failed, naming each.
     """
-    options = RunOptions.of(
-        {
-            "out": out,
-            "store": store,
-            "stand": None if stand is None else str(stand),
-            "root": root,
-            "tiles": [tiles] if isinstance(tiles, str) else tiles,
-            "compression": compression,
-            "memory": memory,
-            "timeout": timeout,
-            "runner": runner,
-            "address": address,
-        }
-    )
+    options = run_options(locals())
     with told_in_python():
         found = [_result(one) for one in direct.digitise(artwork, options, recipe, shown=progress)]
     if all(tile.failed for tile in found):

@@ -3,16 +3,19 @@
 import base64
 import io
 import re
+import sys
 from html.parser import HTMLParser
 
 import numpy as np
 import pytest
 import yaml
 from PIL import Image
+from rich.console import Console
 
 import nlights
 from nlights.comparisons import ComparisonResult
 from nlights.notebook import LONGEST, _small
+from nlights_flows.tiles import console
 
 VOID = {"img", "br"}
 
@@ -76,6 +79,13 @@ def test_titles_and_messages_are_escaped(capture, quick, tmp_path, nasty):
         page = Page(html)
         assert nasty in page.text
         assert "script" not in page.tags
+
+
+@pytest.mark.parametrize("widgets", [False, True])
+def test_a_notebook_has_bars_where_they_can_be_drawn(monkeypatch, widgets):
+    monkeypatch.setattr(console, "find_spec", lambda name: object() if widgets else None)
+    assert console._has_bars(Console(force_jupyter=True)) is widgets
+    assert console._has_bars(Console(force_jupyter=False)) is sys.stderr.isatty()
 
 
 def test_a_failed_tile_shows_why():
