@@ -39,6 +39,13 @@ def three_tiles(tmp_path_factory) -> Path:
     return folder
 
 
+def test_a_worker_reads_the_recipe_that_was_sent():
+    recipe = load_recipe(
+        {**load_recipe("default").record(), "light_model": {"use": "measured-poi", "prior": 1e-5}}
+    )
+    assert dask_runner._recipe(recipe.name, json.dumps(recipe.record())) == recipe
+
+
 @pytest.fixture(scope="module")
 def done_here(three_tiles, tmp_path_factory) -> dict[str, str]:
     """What this process makes of them."""
