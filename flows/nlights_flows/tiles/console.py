@@ -80,6 +80,7 @@ class TileProgress:
         self._all = self._progress.add_task(f"tile 1 of {self._tiles}", total=self._steps * self._tiles)
         self._stage = self._progress.add_task("", total=1.0)
         self._compiling: TaskID | None = None
+        self._lost = False
         self._done, self._started, self._ended = 0.0, 0.0, 0
         self._listening = compilation.told(self._compiles)
 
@@ -90,15 +91,16 @@ class TileProgress:
         return self
 
     def _compiles(self, so_far: Compilation) -> None:
-        """Say why the first painting takes longer."""
+        """Say why the first painting takes longer, and once that the second will too."""
         if self._compiling is None:
             self._compiling = self._progress.add_task(COMPILING, total=None)
-            if not self._live:
+            if self._lines:
                 print(
                     f"{COMPILING} (`nlights doctor --warm` does it beforehand)", file=sys.stderr, flush=True
                 )
         self._progress.update(self._compiling, description=f"{COMPILING}: {len(so_far.names)}")
-        if so_far.lost:
+        if so_far.lost and not self._lost:
+            self._lost = True
             complain(f"{so_far.lost}: cannot be written, so the loops are compiled again the next time")
 
     def __exit__(
