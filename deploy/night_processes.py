@@ -62,6 +62,11 @@ class Service:
         return self.log.read_bytes()[self._said_before :].decode(errors="replace")
 
     @property
+    def pid(self) -> int | None:
+        """Number of its process, which may have ended; None before it was started."""
+        return self._process and self._process.pid
+
+    @property
     def running(self) -> bool:
         """Whether its process is there."""
         return self._process is not None and self._process.poll() is None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -172,6 +172,26 @@ class Source:
             else:
                 return tuple(steps[: i + 1] if kind == "missing" else steps[:i])
         return location
+
+
+class GivenSource(Source):
+    """A mapping that a program gave in the place of a file; it has a name, and no lines.
+
+    Parameters
+    ----------
+    name : str
+        What sentences call it.
+    data : mapping
+        What the file would hold.
+    """
+
+    def __init__(self, name: str, data: Mapping[str, Any], error: type[NlightsError]) -> None:
+        self.path, self.error, self.data = Path(name), error, dict(data)
+
+    def fault(self, location: tuple[Any, ...], sentence: str) -> str:
+        """One sentence about a field: ``name: field: sentence``."""
+        field = ".".join(str(part) for part in location)
+        return f"{self.path}: {field + ': ' if field else ''}{sentence}"
 
 
 def explain(fault: dict[str, Any], fields: list[str] | None = None) -> str:

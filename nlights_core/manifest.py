@@ -73,16 +73,16 @@ class Manifest(Record):
     tiles: list[_Tile] = Field(default=[_Tile(name="r0c0")], min_length=1)
 
 
-def load_capture(path: Path, *, stand: str | None = None, root: Path | None = None) -> list[Tile]:
+def load_capture(path: str | Path, *, stand: str | None = None, root: str | Path | None = None) -> list[Tile]:
     """Read an ``artwork.yaml`` into its tiles, without opening a photograph.
 
     Parameters
     ----------
-    path : Path
+    path : str or Path
         The manifest, or the folder that holds an ``artwork.yaml``.
     stand : str, optional
         Name or file of a stand, instead of the manifest's.
-    root : Path, optional
+    root : str or Path, optional
         The capture root that no path may leave; the manifest's folder by default.
 
     Returns
@@ -98,12 +98,13 @@ def load_capture(path: Path, *, stand: str | None = None, root: Path | None = No
     StandError
         When the stand's file is at fault.
     """
+    path = Path(path)
     path = path / "artwork.yaml" if path.is_dir() else path
     source = Source(path, CaptureError)
     manifest = source.check(Manifest)
     folder = path.parent.resolve()
     measured = _stand(manifest, stand, folder, source)
-    reader = _Reader(source, manifest, measured, folder, (root or folder).resolve())
+    reader = _Reader(source, manifest, measured, folder, Path(root or folder).resolve())
     tiles = [reader.tile(i, entry) for i, entry in enumerate(manifest.tiles)]
     if reader.faults:
         raise CaptureError("\n".join(dict.fromkeys(reader.faults)))

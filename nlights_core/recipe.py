@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import difflib
+from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, SerializeAsAny, ValidationError
@@ -17,7 +19,7 @@ from nlights_core.algorithms import (
     NormalSolver,
 )
 from nlights_core.capture import Tile
-from nlights_core.configurations import Source, explain, find
+from nlights_core.configurations import GivenSource, Source, explain, find
 from nlights_core.errors import RecipeError
 from nlights_core.registry import Registry, installed
 from nlights_core.stands import Record
@@ -106,13 +108,18 @@ def described(algorithm: Algorithm) -> dict[str, Any]:
 REQUIRED = ("light_model", "normals", "integrator")
 
 
-def load_recipe(what: str, registry: Registry | None = None) -> Recipe:
-    """Load a recipe by the name of a shipped one or by a path.
+RecipeLike = str | Path | Mapping[str, Any] | Recipe
+"""What a recipe may be given as."""
+
+
+def load_recipe(what: RecipeLike, registry: Registry | None = None) -> Recipe:
+    """Load a recipe by the name of a shipped one, by a path, or from what a file would hold.
 
     Parameters
     ----------
-    what : str
-        ``default``, or a path that ends in .yaml.
+    what : str, Path, mapping or Recipe
+        ``default``; a path that ends in .yaml; the content of such a file, with a ``name`` if wanted, since it has
+        no file to be called after; or a recipe, which stays as it is.
     registry : Registry, optional
         The algorithms to choose from; those installed by default.
 
@@ -120,9 +127,51 @@ def load_recipe(what: str, registry: Registry | None = None) -> Recipe:
     ------
     RecipeError
         Every fault at once, each with file, line, field, what was found and what is allowed.
+
+    Examples
+    --------
+    >>> load_recipe({"light_model": "measured-poi", "normals": "robust", "integrator": "simchony"}).name
+    'recipe'
     """
-    source = Source(find(what, "recipes", RecipeError), RecipeError)
+    if isinstance(what, Recipe):
+        return what
+    if isinstance(what, Mapping):
+        name = str(what.get("name", "recipe"))
+        given = {field: value for field, value in what.items() if field != "name"}
+        return _Reader(GivenSource(name, given, RecipeError), registry or installed()).recipe(name)
+    source = Source(find(str(what), "recipes", RecipeError), RecipeError)
     return _Reader(source, registry or installed()).recipe(source.path.stem)
+
+
+def choose(slot: str, name: str, options: Mapping[str, Any], whose: str) -> Algorithm:
+    """Choose an installed algorithm as a recipe does, where there is no recipe.
+
+    Parameters
+    ----------
+    slot : str
+        Of a recipe.
+    name : str
+        What ``use:`` would say.
+    options : mapping
+        Its options; the others keep their defaults.
+    whose : str
+        Who asks, for the sentences.
+
+    Raises
+    ------
+    RecipeError
+        Every fault at once, as for `load_recipe`.
+
+    Examples
+    --------
+    >>> choose("integrator", "simchony", {"stencil": "trapezoid"}, "integrate").name
+    'simchony'
+    """
+    reader = _Reader(GivenSource(whose, {}, RecipeError), installed())
+    chosen = reader.algorithm(tuple(slot.split(".")), {**options, "use": name})
+    if chosen is None:
+        raise RecipeError("\n".join(reader.faults))
+    return chosen
 
 
 class _Reader:
@@ -135,13 +184,13 @@ class _Reader:
     def recipe(self, name: str) -> Recipe:
         data = self.source.data
         self._refuse_unknown((), data, [name for name in Recipe.model_fields if name != "name"])
-        chosen = {slot: self._algorithm((slot,), data.get(slot)) for slot in REQUIRED if self._has(slot)}
+        chosen = {slot: self.algorithm((slot,), data.get(slot)) for slot in REQUIRED if self._has(slot)}
         detrend = data.get("detrend")
         removed: dict[str, Any] = {}
         if isinstance(detrend, dict):
             self._refuse_unknown(("detrend",), detrend, list(Detrends.model_fields))
             known = [k for k in detrend if k in Detrends.model_fields and detrend[k] is not None]
-            removed = {k: self._algorithm(("detrend", k), detrend[k]) for k in known}
+            removed = {k: self.algorithm(("detrend", k), detrend[k]) for k in known}
         elif detrend is not None:
             self.faults.append(self.source.fault(("detrend",), f"should be a mapping; got {detrend!r}"))
         plain = {name: data[name] for name in ("passes", "integrable") if name in data}
@@ -173,7 +222,7 @@ class _Reader:
                     )
                 )
 
-    def _algorithm(self, location: tuple[str, ...], data: Any) -> Algorithm | None:
+    def algorithm(self, location: tuple[str, ...], data: Any) -> Algorithm | None:
         slot = ".".join(location)
         if isinstance(data, str):
             data = {"use": data}

@@ -19,7 +19,7 @@ def run(*words: object, cwd: Path | None = None) -> str:
 
 
 def main() -> None:
-    """Build, install, list the plugins, load every shipped recipe and stand, digitise a small capture."""
+    """Build, install, list the plugins, load what is shipped, digitise small captures, also from Python."""
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder)
         run(sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", place, ROOT)
@@ -45,6 +45,11 @@ def main() -> None:
         print(run(python, "-c", script, cwd=place), end="")
         run(nlights, "simulate", "capture", "--scene", "plane", "--width", 64, cwd=place)
         print(run(nlights, "digitise", "capture", cwd=place), end="")
+        page = (ROOT / "docs" / "python.md").read_text(encoding="utf-8")
+        first = page.split("```python\n")[1].split("```")[0] + "assert tile.height.std() > 0\n"
+        (place / "python").mkdir()
+        print("from Python:", run(python, "-c", first, cwd=place / "python"), end="")
+        run(python, "-m", "nlights", "--version", cwd=place)
         print(f"{wheel.name}: installs, lists its plugins and loads what it ships")
 
 

@@ -105,6 +105,17 @@ def test_every_link_leads_somewhere(path):
         assert (path.parent / target).exists(), target
 
 
+def test_the_examples_from_python_run_in_order_and_print_what_is_shown(tmp_path, monkeypatch, capsys):
+    page = (DOCS / "python.md").read_text(encoding="utf-8")
+    examples = re.findall(r"```python\n(.*?)```\n(?:```text\n(.*?)```)?", page, flags=re.DOTALL)
+    assert len(examples[0][0].replace("\n\n", "\n").splitlines()) < 6
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, object] = {}
+    for code, shown in examples:
+        exec(compile(code, "docs/python.md", "exec"), names)
+        assert capsys.readouterr().out == shown, code
+
+
 def test_every_page_is_listed():
     listed = text("README.md")
     for path in DOCS.glob("*.md"):

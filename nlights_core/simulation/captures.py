@@ -143,7 +143,7 @@ def expose(radiance: Array, gain: float, random: Generator) -> Array:
 
 
 def simulate(
-    folder: Path,
+    folder: str | Path,
     stand: Stand,
     *,
     scene: str,
@@ -156,7 +156,7 @@ def simulate(
 
     Parameters
     ----------
-    folder : Path
+    folder : str or Path
         Where to; absent or empty.  It appears whole, or not at all.
     stand : Stand
         Its name goes into the manifest.
@@ -185,6 +185,7 @@ def simulate(
         raise CaptureError(f"scene: '{scene}' is not known; choose one of {', '.join(SCENES)}")
     if width < 32 or seed < 0:
         raise CaptureError(f"width: at least 32, seed: at least 0; got width {width}, seed {seed}")
+    folder = Path(folder)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise CaptureError(f"{folder}: already holds something; name a new or an empty folder")
     studio = set_up(stand, scene, width, varnish, seed)

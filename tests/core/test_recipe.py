@@ -12,7 +12,7 @@ from nlights_core.algorithms import Algorithm, HeightDetrend, Integrator
 from nlights_core.configurations import shipped_names
 from nlights_core.errors import PluginError, RecipeError
 from nlights_core.fields import HeightMap, NormalField
-from nlights_core.recipe import load_recipe, recipe_schema
+from nlights_core.recipe import choose, load_recipe, recipe_schema
 from nlights_core.registry import Offer, Registry, installed
 
 SCHEMA = Path(__file__).parents[2] / "configs" / "recipe.schema.json"
@@ -52,6 +52,36 @@ def test_every_fault_is_told_at_once_with_its_line(tmp_path):
     assert "bad.yaml:2: normals.shadow: should be at least 0; got -1" in said
     assert "bad.yaml:3: integrator.use: no integrator is called 'simchonny'; did you mean 'simchony'?" in said
     assert "available: frankot-chellappa  (nlights 0.1.0)" in said
+
+
+def test_what_a_file_would_hold_is_a_recipe_too():
+    recipe = load_recipe("default")
+    assert load_recipe({**recipe.record(), "name": "default"}) == recipe
+    assert load_recipe(recipe) is recipe
+    assert load_recipe(Path(SCHEMA.parent / "recipes" / "paper.yaml")) == load_recipe("paper")
+    small = {**recipe.record(), "light_model": {"use": "measured-poi", "prior": 1e-5}}
+    assert (load_recipe(small).name, load_recipe(small).light_model.prior) == ("recipe", 1e-5)
+    with pytest.raises(RecipeError) as fault:
+        load_recipe({"name": "mine", "normals": {"use": "robust", "shade": 1}, "integrator": 3, "pass": 1})
+    said = str(fault.value).splitlines()
+    assert [line.partition(": ")[2].partition(": ")[0] for line in said] == [
+        "pass",
+        "light_model",
+        "normals.shade",
+        "integrator",
+    ]
+    assert all(line.startswith("mine: ") for line in said)
+
+
+def test_an_algorithm_is_chosen_outside_a_recipe_as_in_one():
+    assert (
+        choose("detrend.height", "parabolic-fit", {}, "trial")
+        == installed().get("detrend.height", "parabolic-fit").algorithm()
+    )
+    with pytest.raises(
+        RecipeError, match=r"trial: detrend.height.use: no detrend of height is called 'parabola'"
+    ):
+        choose("detrend.height", "parabola", {}, "trial")
 
 
 def test_an_algorithm_of_another_slot_is_no_answer(tmp_path):

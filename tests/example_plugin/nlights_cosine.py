@@ -3,9 +3,7 @@
 import numpy as np
 from scipy.fft import dctn, idctn
 
-from nlights_core.algorithms import Integrator
-from nlights_core.fields import HeightMap, NormalField
-from nlights_core.registry import hookimpl
+from nlights import HeightMap, Integrator, NormalField, hookimpl
 
 
 class CosineBasis(Integrator):

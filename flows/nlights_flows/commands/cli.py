@@ -203,35 +203,18 @@ def digitise(
     done again; a fault of one tile costs that tile only.
     """
     given = {**locals(), "tiles": tile}
-    from nlights_flows.tiles import console, environment
+    from nlights_flows.tiles import console, direct, environment
     from nlights_flows.tiles.run_options import RunOptions
     from nlights_flows.tiles.running import exit_code
 
     options = RunOptions.of(given)
-    with options.in_force():
-        if prefect or environment.api_configured():
+    if prefect or environment.api_configured():
+        with options.in_force():
             outcomes = _run_flow(artwork, options)
-        else:
-            outcomes = _run_here(artwork, options)
+    else:
+        outcomes = direct.digitise(artwork, options)
     console.show_outcomes(outcomes)
     raise typer.Exit(exit_code(outcomes))
-
-
-def _run_here(artwork: Path, options: RunOptions) -> list[Outcome]:
-    """Digitise without Prefect, in this process or on Dask's workers."""
-    from nlights_flows.tiles import console, dask_runner, preparing
-    from nlights_flows.tiles.running import run_directly
-
-    recipe, tiles = preparing.prepare_run(artwork, options)
-    preparing.make_folders(options)
-    if options.runner == "dask":
-        return dask_runner.run_everywhere(tiles, recipe, options)
-    outcomes = []
-    with console.TileProgress(recipe, tiles) as watch:
-        for tile in tiles:
-            outcomes.append(run_directly(tile, recipe, options, watch))
-            watch.tile_done(outcomes[-1])
-    return outcomes
 
 
 def _run_flow(artwork: Path, options: RunOptions) -> list[Outcome]:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from nlights_core.errors import CaptureError, RecipeError
-from nlights_core.recipe import Recipe
+from nlights_core.recipe import Recipe, RecipeLike
 from nlights_core.store import write_whole
 from nlights_flows.comparison.comparing import compare_runs
 from nlights_flows.comparison.page import write_page
@@ -28,10 +28,11 @@ class Order:
     """Order of a comparison; see `nlights_flows.commands.compare.compare`."""
 
     artworks: Sequence[Path]
-    recipes: Sequence[str]
+    recipes: Sequence[RecipeLike]
     grid: Sequence[str]
     options: RunOptions
-    """Its recipe is the one that the grid varies."""
+    """Its recipe is the one that the grid varies, unless there is a `base`."""
+    base: RecipeLike | None = None
 
 
 RunAll = Callable[[Workshop, Recipe, Sequence[Case]], list[Run]]
@@ -81,7 +82,8 @@ def check_comparison(order: Order) -> tuple[list[Recipe], list[Case]]:
     """
     options = order.options
     options.check()
-    recipes = variants_of(order.recipes, order.grid, options.recipe)
+    base = options.recipe if order.base is None else order.base
+    recipes = variants_of(order.recipes, order.grid, base)
     folders = Counter(folder_of(recipe).casefold() for recipe in recipes)
     for recipe in recipes:
         if folders[folder_of(recipe).casefold()] > 1:
@@ -96,10 +98,10 @@ def check_comparison(order: Order) -> tuple[list[Recipe], list[Case]]:
     return recipes, cases
 
 
-def run_directly(workshop: Workshop, recipe: Recipe, cases: Sequence[Case]) -> list[Run]:
-    """Run a variant by calling its stages, with a progress bar."""
+def run_directly(workshop: Workshop, recipe: Recipe, cases: Sequence[Case], shown: bool = True) -> list[Run]:
+    """Run a variant by calling its stages, with a progress bar where it is to be shown."""
     runs = []
-    with console.TileProgress(recipe, [case.tile for case in cases]) as watch:
+    with console.TileProgress(recipe, [case.tile for case in cases], shown) as watch:
         for case in cases:
             place = f"{recipe.name}: {case.name}"
             ensure = ensure_here(workshop.options, place, watch)

@@ -8,6 +8,7 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from itertools import product
+from pathlib import Path
 from typing import Any
 
 import yaml
@@ -15,7 +16,7 @@ from pydantic import ValidationError
 
 from nlights_core.configurations import explain
 from nlights_core.errors import RecipeError
-from nlights_core.recipe import Detrends, Recipe, load_recipe
+from nlights_core.recipe import Detrends, Recipe, RecipeLike, load_recipe
 from nlights_core.registry import Registry, installed
 
 MOST = 64
@@ -32,17 +33,20 @@ Axis = tuple[str, list[Any]]
 
 
 def variants_of(
-    recipes: Sequence[str], grid: Sequence[str], base: str = "default", registry: Registry | None = None
+    recipes: Sequence[RecipeLike],
+    grid: Sequence[str],
+    base: RecipeLike = "default",
+    registry: Registry | None = None,
 ) -> list[Recipe]:
     """Load the recipes to compare, each under a name of its own.
 
     Parameters
     ----------
-    recipes : sequence of str
-        Names of shipped recipes, or paths.
+    recipes : sequence of RecipeLike
+        Names of shipped recipes, paths, or recipes themselves.
     grid : sequence of str
         ``field=value,value``: every combination becomes a variant of ``base``; none if empty.
-    base : str
+    base : RecipeLike
         The recipe that a grid varies.
     registry : Registry, optional
         The algorithms to choose from; those installed by default.
@@ -75,11 +79,13 @@ def variants_of(
     return found
 
 
-def _apart(found: list[Recipe], given: Sequence[str]) -> list[Recipe]:
+def _apart(found: list[Recipe], given: Sequence[RecipeLike]) -> list[Recipe]:
     """Recipes of the same file name, told apart by what was written on the command line."""
     count = Counter(recipe.name for recipe in found)
     return [
-        recipe if count[recipe.name] == 1 else recipe.model_copy(update={"name": what})
+        recipe.model_copy(update={"name": str(what)})
+        if count[recipe.name] > 1 and isinstance(what, str | Path)
+        else recipe
         for recipe, what in zip(found, given, strict=True)
     ]
 

@@ -10,7 +10,7 @@ from importlib import metadata
 from pathlib import Path
 
 import nlights_core
-from nlights_core import algorithms, fields, frames
+from nlights_core import algorithms, capture, errors, fields, frames
 from nlights_core.algorithms import KINDS
 from nlights_core.errors import PluginError
 from nlights_core.registry import installed
@@ -95,7 +95,7 @@ def _words(name: str, kind: str) -> dict[str, str]:
         "version": ".".join(nlights_core.__version__.split(".")[:2]),
     }
     if keyword.iskeyword(class_name) or any(
-        hasattr(module, class_name) for module in (algorithms, fields, frames)
+        hasattr(module, class_name) for module in (algorithms, capture, errors, fields, frames)
     ):
         raise PluginError(
             f"'{name}': its class {class_name} would hide one of nLights' own; choose another name"

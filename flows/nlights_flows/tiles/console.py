@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -60,16 +61,26 @@ def compiling_bar() -> Iterator[Callable[[float, int], None]]:
         yield tell
 
 
-class TileProgress:
-    """Progress over tiles and their stages: bars on a terminal, one line per stage elsewhere."""
+def _has_bars(console: Console) -> bool:
+    """Test whether bars can be drawn: on a terminal, and in a notebook that has what rich draws them with."""
+    return sys.stderr.isatty() or (console.is_jupyter and find_spec("ipywidgets") is not None)
 
-    def __init__(self, recipe: Recipe, tiles: Sequence[Tile]) -> None:
+
+class TileProgress:
+    """Progress over tiles and their stages: bars on a terminal or in a notebook, one line per stage elsewhere.
+
+    ``shown`` as false: nothing at all.
+    """
+
+    def __init__(self, recipe: Recipe, tiles: Sequence[Tile], shown: bool = True) -> None:
         self._steps, self._tiles = steps(recipe), len(tiles)
         self._progress = Progress(*_columns(), console=Console(stderr=True), transient=True)
-        self._live = sys.stderr.isatty()
+        self._live = shown and _has_bars(self._progress.console)
+        self._lines = shown and not self._live
         self._all = self._progress.add_task(f"tile 1 of {self._tiles}", total=self._steps * self._tiles)
         self._stage = self._progress.add_task("", total=1.0)
         self._compiling: TaskID | None = None
+        self._lost = False
         self._done, self._started, self._ended = 0.0, 0.0, 0
         self._listening = compilation.call_on_compiling(self._compiles)
 
@@ -80,15 +91,16 @@ class TileProgress:
         return self
 
     def _compiles(self, so_far: Compilation) -> None:
-        """Say why the first painting takes longer."""
+        """Say why the first painting takes longer, and once that the second will too."""
         if self._compiling is None:
             self._compiling = self._progress.add_task(COMPILING, total=None)
-            if not self._live:
+            if self._lines:
                 print(
                     f"{COMPILING} (`nlights doctor --warm` does it beforehand)", file=sys.stderr, flush=True
                 )
         self._progress.update(self._compiling, description=f"{COMPILING}: {len(so_far.names)}")
-        if so_far.lost:
+        if so_far.lost and not self._lost:
+            self._lost = True
             complain(f"{so_far.lost}: cannot be written, so the loops are compiled again the next time")
 
     def __exit__(
@@ -104,7 +116,7 @@ class TileProgress:
             self._started = time.monotonic()
         if share == 1.0:
             self._done += 1
-            if not self._live:
+            if self._lines:
                 print(
                     f"{tile}: {stage}: {time.monotonic() - self._started:.1f} s", file=sys.stderr, flush=True
                 )

@@ -29,7 +29,6 @@ from nlights_core.machine.sources import core_digest
 from nlights_core.memory import VARIABLE, allowed, budget
 from nlights_core.recipe import Recipe, load_recipe
 from nlights_core.registry import code_digest
-from nlights_core.store import Store
 from nlights_flows.tiles.run_options import RunOptions
 from nlights_flows.tiles.running import Around, Outcome, run_directly
 
@@ -271,7 +270,7 @@ def run_job(job: dict[str, Any]) -> dict[str, Any]:
         try:
             _require_shared(job["marks"])
             options = RunOptions.of(job["options"])
-            recipe = _recipe(job["recipe"]["name"], job["recipe"]["text"], str(options.artefacts.root))
+            recipe = _recipe(job["recipe"]["name"], job["recipe"]["text"])
             _require_same_code(job["code"], recipe)
         except NlightsError as fault:
             return {"state": "failed", "folder": None, "message": str(fault), "seconds": 0.0}
@@ -293,12 +292,9 @@ def _memory(options: RunOptions) -> int | None:
 
 
 @lru_cache(maxsize=8)
-def _recipe(name: str, text: str, store: str) -> Recipe:
+def _recipe(name: str, text: str) -> Recipe:
     """A recipe from its text, by the one reader that there is."""
-    with Store(Path(store)).scratch() as folder:
-        path = folder / f"{name}.yaml"
-        path.write_text(text, encoding="utf-8")  # JSON is YAML
-        return load_recipe(str(path))
+    return load_recipe({**json.loads(text), "name": name})
 
 
 def _code(recipe: Recipe) -> list[str]:

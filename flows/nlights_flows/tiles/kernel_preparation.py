@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from threading import Lock
@@ -55,12 +55,13 @@ def compiled_beside(recipe: Recipe) -> Iterator[None]:
     if not available() or is_complete(mark) or not all(is_bundled(type(a)) for a in recipe.algorithms()):
         yield
         return
-    if cores() < 2:
+    with ExitStack() as stack:
+        if cores() > 1:
+            with suppress(OSError):  # a process that cannot be started is no reason to stop
+                job = {"recipe": {**recipe.record(), "passes": 1}}
+                scratch = Path(stack.enter_context(TemporaryDirectory()))
+                stack.enter_context(children.child(__name__, job, scratch))
         yield
-    else:
-        job = {"recipe": {**recipe.record(), "passes": 1}}
-        with TemporaryDirectory() as scratch, children.child(__name__, job, Path(scratch)):
-            yield
     set_complete(mark)
 
 

@@ -8,20 +8,31 @@ from pathlib import Path
 from nlights_core.capture import Tile
 from nlights_core.errors import CaptureError
 from nlights_core.manifest import load_capture
-from nlights_core.recipe import Recipe, load_recipe
+from nlights_core.recipe import Recipe, RecipeLike, load_recipe
 from nlights_core.store import make_writable
 from nlights_flows.tiles.run_options import RunOptions
 
 
-def prepare_run(artwork: Path, options: RunOptions) -> tuple[Recipe, list[Tile]]:
+def prepare_run(
+    artwork: str | Path, options: RunOptions, recipe: RecipeLike | None = None
+) -> tuple[Recipe, list[Tile]]:
     """Read recipe, stand and manifest; the tiles are those that the options name, or all.
+
+    Parameters
+    ----------
+    artwork : str or Path
+        The manifest, or its folder.
+    options : RunOptions
+        What was asked for.
+    recipe : RecipeLike, optional
+        Instead of the options', which is a name or a path.
 
     Raises
     ------
     RecipeError, CaptureError, StandError
         What the user has to mend.
     """
-    chosen = load_recipe(options.recipe)
+    chosen = load_recipe(options.recipe if recipe is None else recipe)
     found = load_capture(artwork, stand=options.stand, root=options.root)
     require_named(found, options.tiles, str(artwork))
     tiles = [tile for tile in found if not options.tiles or tile.name in options.tiles]

@@ -39,6 +39,13 @@ def three_tiles(tmp_path_factory) -> Path:
     return folder
 
 
+def test_a_worker_reads_the_recipe_that_was_sent():
+    recipe = load_recipe(
+        {**load_recipe("default").record(), "light_model": {"use": "measured-poi", "prior": 1e-5}}
+    )
+    assert dask_runner._recipe(recipe.name, json.dumps(recipe.record())) == recipe
+
+
 @pytest.fixture(scope="module")
 def done_here(three_tiles, tmp_path_factory) -> dict[str, str]:
     """What this process makes of them."""
@@ -84,12 +91,12 @@ def test_two_dask_workers_make_what_one_process_makes_and_a_killed_one_is_replac
     run = nlights("digitise", three_tiles, "--out", out, "--runner", "dask", "--address", address)
     try:
         until = time.monotonic() + 60
-        # Two tiles are at work, each in a worker of its own; neither is finished.
-        while len(list(out.glob(".store/inv-1/*/.draft-*"))) < 2:
+        # A draft has the number of its process in its name: one worker is in the middle of a tile.
+        at_work = f".store/inv-1/*/.draft-*-{workers[0].pid}-*"
+        while not list(out.glob(at_work)):
             assert time.monotonic() < until
-            assert run.poll() is None
-            time.sleep(0.02)
-        assert not list(out.glob("inv-1/*"))
+            assert run.poll() is None, ended(run)
+            time.sleep(0.005)
         workers[0].kill()
         said = ended(run)
     finally:
@@ -112,12 +119,12 @@ def test_an_address_where_no_scheduler_is_gives_a_sentence_that_names_the_option
         pytest.raises(
             Exception, match=rf"--address: no Dask scheduler answers at '{nobody}'.*dask scheduler"
         ),
-        dask_runner.reachable("dask", nobody),
+        dask_runner.reachable(RunOptions(runner="dask", address=nobody)),
     ):
         pass
     with (
         pytest.raises(CaptureError, match=r"--address: 'nonsense' is no address.*tcp://"),
-        dask_runner.reachable("dask", "nonsense"),
+        dask_runner.reachable(RunOptions(runner="dask", address="nonsense")),
     ):
         pass
 
@@ -138,11 +145,8 @@ def test_a_worker_refuses_another_nlights_and_a_folder_of_its_own(three_tiles, t
         "tile": json.loads(tile.model_dump_json()),
         "recipe": {"name": recipe.name, "text": json.dumps(recipe.record())},
         "code": ["0.0.0-otherwise"],
-        "store": str(store.root),
-        "out": str(tmp_path),
+        "options": RunOptions(out=tmp_path, store=store.root).plain(),
         "marks": [str(tmp_path / "store")],
-        "compression": "none",
-        "timeout": None,
     }
     assert "another nLights (" in dask_runner.run_job(job)["message"]
     job["marks"] = [str(tmp_path / "elsewhere" / ".mark-1")]

@@ -1,0 +1,98 @@
+"""Compiled loops are prepared beforehand, or beside the first painting, and that is said."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from nlights_core.machine import kernel_cache
+from nlights_core.recipe import load_recipe
+from nlights_flows.tiles import kernel_preparation
+from nlights_flows.tiles.examination import facts
+from nlights_flows.tiles.kernel_preparation import ALL, compiled_beside, measure_tiny
+
+DIGITISE = """
+import pathlib, sys
+from nlights_core.machine import compilation, kernel_cache
+if sys.argv[1] != "as it is":
+    kernel_cache.INSTALLED = pathlib.Path(sys.argv[1])
+sys.argv = ["nlights", "digitise", *sys.argv[2:]]
+from nlights_flows.commands.cli import main
+try:
+    main()
+finally:
+    print("compiled", len(compilation.so_far().names), *compilation.so_far().names)
+"""
+
+
+def digitise(installed: str, *words: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", DIGITISE, installed, *words],
+        env=os.environ | environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done
+
+
+@pytest.mark.parametrize("recipe", ["default", "paper"])
+def test_a_prepared_installation_compiles_nothing_for_a_painting(painting, tmp_path, recipe):
+    if not kernel_cache.is_complete(ALL):
+        pytest.skip("the loops were not prepared: nlights doctor --warm")
+    done = digitise("as it is", str(painting), "--recipe", recipe, "--out", str(tmp_path / "out"))
+    assert "compiled 0\n" in done.stdout, done.stdout
+    assert "once per machine" not in done.stderr
+
+
+def test_a_first_painting_says_that_it_compiles_and_a_second_one_does_not(painting, tmp_path):
+    words = ("/nowhere/compiled", str(painting), "--recipe", "psbox", "--out")
+    cache = {"XDG_CACHE_HOME": str(tmp_path / "cache"), "NUMBA_CACHE_DIR": ""}
+    first = digitise(*words, str(tmp_path / "first"), **cache)
+    assert first.stderr.count("compiling loops, once per machine") == 1
+    assert "compiled 0\n" not in first.stdout
+    second = digitise(*words, str(tmp_path / "second"), **cache)
+    assert "once per machine" not in second.stderr
+    assert "compiled 0\n" in second.stdout
+    for name in ("normals.tif", "height.tif", "mesh.ply"):
+        one, other = ((tmp_path / way / "simulated-painting/r0c0" / name) for way in ("first", "second"))
+        assert one.read_bytes() == other.read_bytes()
+
+
+def test_a_second_process_compiles_only_where_nothing_is_complete_and_ends_with_the_run(monkeypatch):
+    begun, marks = [], set()
+    real = kernel_preparation.children.child
+
+    def noted(module, job, scratch):
+        begun.append(job)
+        return real(module, job, scratch)
+
+    monkeypatch.setattr(kernel_preparation.children, "child", noted)
+    monkeypatch.setattr(kernel_preparation, "is_complete", marks.__contains__)
+    monkeypatch.setattr(kernel_preparation, "set_complete", marks.add)
+    monkeypatch.setattr(kernel_preparation, "cores", lambda: 2)
+    recipe = load_recipe("default")
+    with pytest.raises(ZeroDivisionError), compiled_beside(recipe):
+        raise ZeroDivisionError
+    assert not marks  # who failed may not have compiled all
+    with compiled_beside(recipe):
+        pass
+    assert marks == {"robust"}
+    with compiled_beside(recipe):
+        pass
+    assert [job["recipe"]["passes"] for job in begun] == [1, 1]
+
+
+def test_a_tiny_painting_can_be_measured_in_8_bits():
+    measure_tiny({"recipe": {**load_recipe("default").record(), "passes": 1}, "bits": 8})
+
+
+def test_the_doctor_says_what_there_is():
+    found = dict(facts())
+    assert found["nLights"] == "0.1.0"
+    assert "numba 0" in found["Packages"]
+    assert "GiB" in found["Memory"]
+    assert "GiB free" in found["Disk"]
+    assert "prepared" in found["Compiled loops"]
