@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-PACKAGES = ("nlights_core", "flows/nlights_flows", "plugins/nlights_plugins")
+PACKAGES = ("nlights_core", "flows/nlights", "flows/nlights_flows", "plugins/nlights_plugins")
 
 QUESTIONS = "how what whatever when whenever where wherever whether which who whoever whom whose why"
 PREPOSITIONS = (

@@ -31,7 +31,7 @@ LENGTHS = (0.95, 1.05)
 
 
 class Solved(NamedTuple):
-    """What `solve` found, on one grid.
+    """Solution of `solve`, on one grid.
 
     Attributes
     ----------
@@ -252,7 +252,7 @@ def integrate(
 def _grid_of(
     normals: Array, pixel_size: float | None, camera: tuple[float, float, float] | None
 ) -> PixelGrid:
-    """Where the normals are: as is said, else as they know themselves, else in pixels."""
+    """Grid of the normals: as is said, else as they know themselves, else in pixels."""
     rows, columns = normals.shape[:2]
     if pixel_size is not None:
         if not 0 < pixel_size < np.inf:

@@ -18,7 +18,7 @@ from nlights_flows.comparison.page import overall
 
 @dataclass(frozen=True)
 class ComparisonResult:
-    """What a comparison found.
+    """Findings of a comparison.
 
     Attributes
     ----------
@@ -38,12 +38,12 @@ class ComparisonResult:
 
     @property
     def metrics(self) -> dict[str, dict[str, Any]]:
-        """By key, as "angle_error": title, unit, winners, and each variant's value, interval and rank."""
+        """Metrics by key, as "angle_error": title, unit, winners, and each variant's value, interval and rank."""
         return {metric["key"]: metric for metric in self.record["metrics"]}
 
     @property
     def failures(self) -> list[str]:
-        """Which variants failed on which tile, and why."""
+        """Variants that failed, on which tile, and why."""
         failed = [run for run in self.record["runs"] if run["state"] == "failed"]
         return [f"{run['variant']}: {run['tile']}: {in_python(run['message'])}" for run in failed]
 

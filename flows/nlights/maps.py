@@ -78,12 +78,12 @@ class Map(np.ndarray[Any, np.dtype[Any]]):
 
     @property
     def is_whole(self) -> bool:
-        """Whether this is a whole map, with grid and unit, and no view of one."""
+        """Tell whether this is a whole map, with grid and unit, and no view of one."""
         return self._place is not None
 
     @property
     def grid(self) -> PixelGrid:
-        """Where the pixels are.
+        """Grid of the pixels.
 
         Raises
         ------

@@ -67,7 +67,7 @@ class TileResult:
 
     @property
     def failed(self) -> bool:
-        """Whether there are no products."""
+        """Failure: there are no products."""
         return self.state == "failed"
 
     @cached_property
@@ -97,12 +97,12 @@ class TileResult:
 
     @cached_property
     def trend(self) -> Map | None:
-        """What was removed from the height, in its unit, (H, W) float32; None where the recipe removes nothing."""
+        """Trend that was removed from the height, in its unit, (H, W) float32; None where the recipe removes nothing."""
         return self._map("trend", self.grid.unit) if self._path("trend.tif").is_file() else None
 
     @cached_property
     def grid(self) -> PixelGrid:
-        """Where the pixels of all maps are on the plane of the artwork."""
+        """Grid of all maps: where their pixels are on the plane of the artwork."""
         return _grid(self._path("height.tif"), self.provenance["stand"])
 
     @cached_property
@@ -113,7 +113,7 @@ class TileResult:
 
     @cached_property
     def provenance(self) -> dict[str, Any]:
-        """What made these products, in full."""
+        """Record of what made these products, in full."""
         found: dict[str, Any] = json.loads(self._path("provenance.json").read_text(encoding="utf-8"))
         return found
 
