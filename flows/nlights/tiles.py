@@ -97,7 +97,7 @@ class TileResult:
 
     @cached_property
     def trend(self) -> Map | None:
-        """Trend that was removed from the height, in its unit, (H, W) float32; None where the recipe removes nothing."""
+        """Trend removed from the height, in its unit, (H, W) float32; None where the recipe removes nothing."""
         return self._map("trend", self.grid.unit) if self._path("trend.tif").is_file() else None
 
     @cached_property

@@ -1,8 +1,7 @@
 """Compilation of loops over pixels, by numba, when they are first called.
 
-Compiled for ``x86-64-v3`` (processors with AVX2, since 2013) they run as fast as when they are compiled for the
-very processor, give the same bits, and can be prepared on one machine for another.  Older and other processors
-get what numba makes for them.  Where compiled loops are kept: `nlights_core.machine.kernel_cache`.
+They are compiled for a kind of processors (`nlights_core.machine.targets`), not for the very one, give the same bits
+on all, and can be prepared on one machine for another.  Where they are kept: `nlights_core.machine.kernel_cache`.
 
 Import this module only from compiled ones: it needs numba, which takes half a second.
 """
@@ -15,39 +14,18 @@ from typing import Any, TypeVar
 
 import numba
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile, _CacheLocator
-from numba.core.codegen import get_host_cpu_features
 
 from nlights_core.machine import compilation
-from nlights_core.machine.kernel_cache import folders, place_of, writable_folder
+from nlights_core.machine.kernel_cache import chosen_target, folders, place_of, writable_folder
 
 Function = TypeVar("Function", bound=Callable[..., Any])
-
-TARGET = "x86-64-v3"
-NEEDED = (
-    "avx",
-    "avx2",
-    "bmi",
-    "bmi2",
-    "f16c",
-    "fma",
-    "lzcnt",
-    "movbe",
-    "xsave",
-    "popcnt",
-    "sse4.2",
-    "ssse3",
-    "cx16",
-)
-"""What a processor must know to run code that was made for `TARGET`."""
 
 _njit: Any = numba.njit
 _file_of_index: Any = IndexDataCacheFile
 _settings: Any = numba.config
-_host: str = get_host_cpu_features()  # type: ignore[no-untyped-call]
-_chosen = _settings.CPU_NAME is not None or _settings.CPU_FEATURES is not None
-# An older processor would die of an illegal instruction, so it is asked first.
-if not _chosen and set(NEEDED) <= {word[1:] for word in _host.split(",") if word.startswith("+")}:
-    _settings.CPU_NAME, _settings.CPU_FEATURES = TARGET, ""
+
+if _target := chosen_target():
+    _settings.CPU_NAME, _settings.CPU_FEATURES = _target.name, _target.features
 
 
 class _Place(_CacheLocator):

@@ -21,6 +21,7 @@ from pathlib import Path
 import platformdirs
 
 from nlights_core.machine.sources import CORE, digest_of_files, reached_files
+from nlights_core.machine.targets import Target, supported_targets
 
 INSTALLED = Path(sys.prefix) / "share" / "nlights" / "compiled"
 """Of the installation."""
@@ -28,8 +29,8 @@ INSTALLED = Path(sys.prefix) / "share" / "nlights" / "compiled"
 MAKERS = ("numba", "llvmlite", "numpy")
 """Packages whose versions decide what is compiled."""
 
-COMPLETE = "complete-"
-"""What the mark begins with that a painting was measured, so that nothing needs to be compiled for the next."""
+PREPARED = "prepared-"
+"""Beginning of the mark that all loops are compiled."""
 
 
 def users_folder() -> Path | None:
@@ -102,26 +103,39 @@ def kernel_modules() -> list[str]:
 
 @cache
 def _mark() -> str:
-    return f"{COMPLETE}{sysconfig.get_python_version()}-{_digest(kernel_modules())}-"
+    return f"{PREPARED}{sysconfig.get_python_version()}-{_digest(kernel_modules())}-"
 
 
-def is_complete(solver: str) -> bool:
-    """Tell whether a painting was measured before with this very code, so that nothing is to be compiled.
+def is_prepared(target: str) -> bool:
+    """Tell whether the loops of all bundled algorithms are compiled, of this very code and for a kind of processors.
 
     Parameters
     ----------
-    solver : str
-        Name of the normal solver: each has loops of its own.
+    target : str
+        Name of a `nlights_core.machine.targets.Target`, or `nlights_core.machine.targets.NATIVE`.
     """
-    return any((folder / f"{_mark()}{solver}").exists() for folder in folders())
+    return any((folder / f"{_mark()}{target}").exists() for folder in folders())
 
 
-def set_complete(solver: str) -> None:
-    """Remember that everything is compiled that the measurement of a painting with a solver needs."""
+def set_prepared(target: str) -> None:
+    """Remember that they are."""
     folder = writable_folder()
-    if folder is not None and not is_complete(solver):
+    if folder is not None:
         with suppress(OSError):
-            (folder / f"{_mark()}{solver}").touch()
+            (folder / f"{_mark()}{target}").touch()
+
+
+def chosen_target() -> Target | None:
+    """Choose for which kind of processors this process compiles, and whose loops it loads.
+
+    Returns
+    -------
+    Target or None
+        The fastest of those that are prepared; where none is, the fastest that the processor can run.  None: what
+        the compiler makes for this very processor.
+    """
+    able = supported_targets()
+    return next((target for target in able if is_prepared(target.name)), able[0] if able else None)
 
 
 def install() -> Path | None:
@@ -147,7 +161,7 @@ def install() -> Path | None:
     for old in INSTALLED.iterdir():
         if old.is_dir() and old.name not in current:
             shutil.rmtree(old, ignore_errors=True)
-        elif old.name.startswith(COMPLETE) and not old.name.startswith(_mark()):
+        elif old.name.startswith(PREPARED) and not old.name.startswith(_mark()):
             old.unlink(missing_ok=True)
     for name in current:
         if (source / name).is_dir():

@@ -6,12 +6,20 @@ from typing import Annotated
 
 import typer
 
+from nlights_core.errors import NlightsError
+
 
 def doctor(
     warm: Annotated[
         bool,
         typer.Option(
             "--warm", help="Compile all loops now, into the installation: no painting then waits for it."
+        ),
+    ] = False,
+    portable: Annotated[
+        bool,
+        typer.Option(
+            "--portable", help="With --warm: also for older processors, as a container needs that others run."
         ),
     ] = False,
 ) -> None:
@@ -22,17 +30,19 @@ def doctor(
     """
     from nlights_flows.tiles import console, examination
 
+    if portable and not warm:
+        raise NlightsError("--portable: goes with --warm; nothing is compiled without it")
     if warm:
-        _prepare()
+        _prepare(portable)
     console.show_facts(examination.facts())
 
 
-def _prepare() -> None:
+def _prepare(portable: bool) -> None:
     from nlights_flows.tiles import console
     from nlights_flows.tiles.kernel_preparation import prepare_kernels
 
     with console.compiling_bar() as progress:
-        count, folder = prepare_kernels(progress)
+        count, folder = prepare_kernels(progress, portable)
     if folder is None:
         console.complain(
             "doctor --warm: compiled loops cannot be kept: neither the installation nor a home folder can be "

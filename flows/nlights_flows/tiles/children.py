@@ -104,7 +104,11 @@ class Child:
 
 @contextlib.contextmanager
 def child(
-    module: str, job: Mapping[str, Any], scratch: Path, timeout: float | None = None
+    module: str,
+    job: Mapping[str, Any],
+    scratch: Path,
+    timeout: float | None = None,
+    environment: Mapping[str, str] | None = None,
 ) -> Iterator[Child]:
     """Start a child; it has ended, by itself or not, when the block ends.
 
@@ -118,6 +122,8 @@ def child(
         A folder of the parent's, for the child's last words.
     timeout : float, optional
         Seconds after which it is stopped once `Child.start_clock` was called.
+    environment : mapping, optional
+        Variables that it gets beside this process's own.
     """
     trace = scratch / "trace.txt"
     process = subprocess.Popen(
@@ -126,6 +132,7 @@ def child(
         stdout=subprocess.PIPE,
         text=True,
         encoding="utf-8",
+        env={**os.environ, **(environment or {})},
         start_new_session=True,  # so that what it starts is stopped along with it
     )
     started = Child(process, trace, timeout)

@@ -13,8 +13,9 @@ from nlights_core import __version__
 from nlights_core.errors import NlightsError
 from nlights_core.machine.band_threads import cores
 from nlights_core.machine.containers import memory_limit
-from nlights_core.machine.kernel_cache import folders, is_complete, writable_folder
+from nlights_core.machine.kernel_cache import folders, is_prepared, writable_folder
 from nlights_core.machine.kernel_switch import SWITCH, available
+from nlights_core.machine.targets import NATIVE, TARGETS
 from nlights_core.memory import GIB, budget, machine_memory
 from nlights_core.registry import installed
 
@@ -67,9 +68,10 @@ def _disk(place: Path) -> str:
 def _compiled() -> str:
     if not available():
         return f"not used: {SWITCH}=off, or numba is not installed"
-    places = ", ".join(str(folder) for folder in folders() if any(folder.iterdir()))
-    if is_complete("robust"):
-        return f"prepared: {places}"
+    prepared = [name for name in (*(target.name for target in TARGETS), NATIVE) if is_prepared(name)]
+    if prepared:
+        places = ", ".join(str(folder) for folder in folders() if any(folder.iterdir()))
+        return f"prepared for {', '.join(prepared)}: {places}"
     target = writable_folder()
     if target is None:
         return (

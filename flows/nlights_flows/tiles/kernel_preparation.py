@@ -8,10 +8,11 @@ loops that the first one needs later.
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Iterator, Mapping
+import shutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from threading import Lock
@@ -19,12 +20,15 @@ from typing import Any
 
 import numpy as np
 
+from nlights_core.capture import Tile
 from nlights_core.configurations import load_stand
 from nlights_core.errors import NlightsError
 from nlights_core.machine import compilation
 from nlights_core.machine.band_threads import cores
-from nlights_core.machine.kernel_cache import install, is_complete, set_complete
+from nlights_core.machine.compilation import Compilation, call_on_compiling
+from nlights_core.machine.kernel_cache import install, is_prepared, set_prepared
 from nlights_core.machine.kernel_switch import available
+from nlights_core.machine.targets import NATIVE, Target, supported_targets
 from nlights_core.manifest import load_capture
 from nlights_core.recipe import Recipe, load_recipe
 from nlights_core.registry import is_bundled
@@ -38,9 +42,6 @@ WIDTH = 160
 OTHER_SOLVERS = ("rank-trim", "median-of-triplets")
 """Bundled solvers that no shipped recipe uses."""
 
-ALL = "all"
-"""Mark of loops that were prepared beforehand: those of all bundled solvers."""
-
 
 @contextmanager
 def compiled_beside(recipe: Recipe) -> Iterator[None]:
@@ -51,27 +52,35 @@ def compiled_beside(recipe: Recipe) -> Iterator[None]:
     recipe : Recipe
         Of the run.  Where somebody else's plugin takes part, nothing is compiled beside: it is not run for that.
     """
-    mark = recipe.normals.name
-    if not available() or is_complete(mark) or not all(is_bundled(type(a)) for a in recipe.algorithms()):
+    if not available() or cores() < 2 or not all(is_bundled(type(a)) for a in recipe.algorithms()):
         yield
         return
+    begun = Lock()
     with ExitStack() as stack:
-        if cores() > 1:
-            with suppress(OSError):  # a process that cannot be started is no reason to stop
-                job = {"recipe": {**recipe.record(), "passes": 1}}
-                scratch = Path(stack.enter_context(TemporaryDirectory()))
-                stack.enter_context(children.child(__name__, job, scratch))
+
+        def begin(so_far: Compilation) -> None:
+            if begun.acquire(blocking=False):  # at the first loop that is compiled, and never again
+                with suppress(OSError):  # a process that cannot be started is no reason to stop
+                    scratch = Path(stack.enter_context(TemporaryDirectory()))
+                    job = {"runs": [{"recipe": {**recipe.record(), "passes": 1}}]}
+                    stack.enter_context(children.child(__name__, job, scratch))
+
+        stack.enter_context(call_on_compiling(begin))
         yield
-    set_complete(mark)
 
 
-def prepare_kernels(progress: Callable[[float, int], None]) -> tuple[int, Path | None]:
+def prepare_kernels(
+    progress: Callable[[float, int], None], portable: bool = False
+) -> tuple[int, Path | None]:
     """Compile all loops of the bundled algorithms, on all cores, and put them into the installation.
 
     Parameters
     ----------
     progress : callable
         Told the share done, and how many loops were compiled so far.
+    portable : bool
+        Compile for every kind of processors that this one can run, and not only for the fastest: for a container
+        that other machines run.
 
     Returns
     -------
@@ -85,84 +94,110 @@ def prepare_kernels(progress: Callable[[float, int], None]) -> tuple[int, Path |
     NlightsError
         When a process that compiles fails, with what it said.
     """
-    if is_complete(ALL):
-        return 0, install()
-    jobs = _jobs()
+    able: list[Target | None] = [*supported_targets()] or [None]
+    targets = [target for target in (able if portable else able[:1]) if not is_prepared(_name(target))]
+    jobs = [(job, target) for target in targets for job in _jobs()]
     compiled, ended, lock = [0] * len(jobs), [0], Lock()
 
+    def tell(number: int, count: int) -> None:
+        compiled[number] = count
+        progress(ended[0] / len(jobs), sum(compiled))
+
     def run(number: int) -> None:
-        with TemporaryDirectory() as scratch, children.child(__name__, jobs[number], Path(scratch)) as child:
-            done = False
-            for said in child.words():
-                done = done or "done" in said
-                with lock:
-                    compiled[number] = said.get("compiled", compiled[number])
-                    progress(ended[0] / len(jobs), sum(compiled))
-                if done:
-                    break
-            if not done:
-                raise NlightsError(
-                    "doctor --warm: a process that compiles ended before it was done; it said above why. Nothing "
-                    "is lost: loops are compiled when they are first needed"
-                )
+        _compile_in_child(*jobs[number], partial(tell, number))
         with lock:
             ended[0] += 1
 
-    with ThreadPoolExecutor(min(cores(), len(jobs))) as pool:
+    with ThreadPoolExecutor(cores()) as pool:
         for _ in pool.map(run, range(len(jobs))):
             pass
-    for job in jobs:
-        set_complete(job["recipe"]["normals"]["use"])
-    set_complete(ALL)
+    for target in targets:
+        set_prepared(_name(target))
     return sum(compiled), install()
 
 
+def _name(target: Target | None) -> str:
+    return target.name if target else NATIVE
+
+
+def _compile_in_child(job: dict[str, Any], target: Target | None, tell: Callable[[int], None]) -> None:
+    """Do a job in a process that compiles for a target, and tell how many loops it compiled so far."""
+    chosen = {"NUMBA_CPU_NAME": target.name, "NUMBA_CPU_FEATURES": target.features} if target else {}
+    with (
+        TemporaryDirectory() as scratch,
+        children.child(__name__, job, Path(scratch), environment=chosen) as child,
+    ):
+        for said in child.words():
+            tell(said["compiled"])
+            if "done" in said:
+                return
+    raise NlightsError(
+        "doctor --warm: a process that compiles ended before it was done; it said above why. Nothing is lost: loops "
+        "are compiled when they are first needed"
+    )
+
+
 def _jobs() -> list[dict[str, Any]]:
-    """Recipes to be run, the long ones first."""
+    """List what two processes run: one the whole chain, the other what other solvers and photographs need."""
     default, paper, psbox = (load_recipe(name).record() for name in ("default", "paper", "psbox"))
-    jobs = [{"recipe": default}, {"recipe": {**default, "passes": 1}}, {"recipe": paper}]
-    jobs += [{"recipe": {**default, "normals": {"use": use}, "passes": 1}} for use in OTHER_SOLVERS]
-    return [*jobs, {"recipe": psbox}, {"recipe": {**default, "passes": 1}, "bits": 8}]
+    single = {**default, "passes": 1}
+    others = [{"recipe": {**single, "normals": {"use": use}}, "until": "normals"} for use in OTHER_SOLVERS]
+    strips = {"recipe": single, "until": "normals"}
+    return [
+        {"runs": [{"recipe": default}, {"recipe": paper}]},
+        {"runs": [strips, *others, {**strips, "bits": 8}, {"recipe": psbox}]},
+    ]
 
 
-def measure_tiny(job: Mapping[str, Any]) -> None:
-    """Run a recipe on a tiny simulated painting, for the sake of what is compiled.
+def measure_tiny(runs: Sequence[Mapping[str, Any]]) -> None:
+    """Run recipes on a tiny simulated painting, for the sake of what is compiled.
 
     Parameters
     ----------
-    job : mapping
-        "recipe": a recipe's content; "bits": of the photographs, 16 if not given.
+    runs : sequence of mapping
+        "recipe": a recipe's content; "bits": of the photographs, 16 if not given; "until": the last stage, all
+        if not given.
     """
     from nlights_core.simulation.captures import simulate
 
     with TemporaryDirectory() as folder:
         place = Path(folder)
-        text = place / "recipe.yaml"
-        text.write_text(json.dumps(job["recipe"]), encoding="utf-8")  # JSON is YAML
-        simulate(place / "capture", load_stand("horizontal"), scene="painting", width=WIDTH, seed=1)
-        if job.get("bits", 16) == 8:
-            _make_8_bit(place / "capture")
-        (tile,) = load_capture(place / "capture")
-        store = Store(place / "store")
-
-        def call(stage: Callable[..., Work], *arguments: Any) -> ArtefactRef:
-            work = stage(store, *arguments)
-            store.ensure(work)
-            return work.ref
-
-        digitise_tile(tile, load_recipe(str(text)), call)
+        simulate(place / "16", load_stand("horizontal"), scene="painting", width=WIDTH, seed=1)
+        for run in runs:
+            bits = run.get("bits", 16)
+            if bits == 8:
+                _write_8_bit(place / "16", place / "8")
+            (tile,) = load_capture(place / str(bits))
+            _measure(tile, load_recipe(run["recipe"]), Store(place / "store"), run.get("until"))
 
 
-def _make_8_bit(capture: Path) -> None:
+def _measure(tile: Tile, recipe: Recipe, store: Store, until: str | None) -> None:
+    def call(stage: Callable[..., Work], *arguments: Any) -> ArtefactRef:
+        work = stage(store, *arguments)
+        store.ensure(work)
+        if work.ref.stage == until:
+            raise _EnoughError
+        return work.ref
+
+    with suppress(_EnoughError):
+        digitise_tile(tile, recipe, call)
+
+
+class _EnoughError(Exception):
+    """The last stage that is wanted has been run."""
+
+
+def _write_8_bit(capture: Path, target: Path) -> None:
     import tifffile
 
-    for path in (*capture.glob("*.tif"), *capture.glob("flat/*.tif")):
+    shutil.copytree(capture, target, ignore=shutil.ignore_patterns("truth"))
+    for path in target.rglob("*.tif"):
         tifffile.imwrite(path, (tifffile.imread(path) >> 8).astype(np.uint8), photometric="rgb")
 
 
 def _answer(job: dict[str, Any], say: Callable[..., None]) -> None:
-    with compilation.call_on_compiling(lambda so_far: say(compiled=len(so_far.names))):
-        measure_tiny(job)
+    with call_on_compiling(lambda so_far: say(compiled=len(so_far.names))):
+        measure_tiny(job["runs"])
     say(done=True, compiled=len(compilation.so_far().names))
 
 
