@@ -58,7 +58,7 @@ def tile_html(tile: TileResult) -> str:
 
 
 def _sentence(quality: Numbers) -> str:
-    """Table of how much was measured, and how well."""
+    """Sentence on how much was measured, and how well."""
     known, trust = quality["Known share"], quality["Uncertainty of the normals, mean"]
     share = figure_of(known.value, known.unit).replace("> ", "more than ").replace("< ", "less than ")
     angle = figure_of(trust.value, trust.unit)

@@ -88,8 +88,12 @@ def test_a_second_process_begins_with_the_first_loop_that_is_compiled_and_ends_w
     assert begun == ended
 
 
-def test_a_tiny_painting_can_be_measured_in_8_bits():
-    measure_tiny([{"recipe": {**load_recipe("default").record(), "passes": 1}, "bits": 8}])
+def test_a_second_tiny_painting_in_8_bits_finds_everything_compiled():
+    run = {"recipe": {**load_recipe("default").record(), "passes": 1}, "bits": 8, "until": "normals"}
+    measure_tiny([run])
+    before = len(compilation.so_far().names)
+    measure_tiny([run])
+    assert len(compilation.so_far().names) == before
 
 
 def test_the_doctor_says_what_there_is():
