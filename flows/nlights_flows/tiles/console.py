@@ -107,6 +107,8 @@ class TileProgress:
         self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._listening.__exit__(kind, fault, trace)
+        if self._lines and self._compiling is not None:
+            print(f"compiled {len(compilation.so_far().names)} loops", file=sys.stderr, flush=True)
         if self._live:
             self._progress.stop()
 

@@ -1,6 +1,7 @@
 """Compiled loops are prepared beforehand, or beside the first painting, and that is said."""
 
 import os
+import re
 import subprocess
 import sys
 from contextlib import contextmanager
@@ -55,6 +56,7 @@ def test_a_first_painting_says_that_it_compiles_and_a_second_one_does_not(painti
     first = digitise(*words, str(tmp_path / "first"), **cache)
     assert first.stderr.count("compiling loops, once per machine") == 1
     assert "compiled 0\n" not in first.stdout
+    assert re.search(r"^compiled \d+ loops$", first.stderr, re.MULTILINE)
     second = digitise(*words, str(tmp_path / "second"), **cache)
     assert "once per machine" not in second.stderr
     assert "compiled 0\n" in second.stdout
