@@ -57,7 +57,7 @@ def test_loops_without_a_way_in_are_called_by_loops_only():
                 assert (modules.get(node.value.id), node.attr) not in inner, f"{path}: {node.attr}"
 
 
-def use(folder: Path, core: Path = CORE, installed: str = "/nowhere/compiled") -> tuple[int, str]:
+def use(folder: Path, core: Path = CORE, installed: str = "/dev/null/compiled") -> tuple[int, str]:
     """Call a compiled loop in a process of its own: how many it compiled, and the folder that was lost."""
     path = os.pathsep.join([str(core.parent), str(CORE.parent / "plugins"), str(CORE.parent / "flows")])
     own = os.environ | {"PYTHONPATH": path, "XDG_CACHE_HOME": str(folder)}

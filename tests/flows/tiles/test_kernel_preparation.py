@@ -51,7 +51,7 @@ def test_a_prepared_installation_compiles_nothing_for_a_painting(painting, tmp_p
 
 
 def test_a_first_painting_says_that_it_compiles_and_a_second_one_does_not(painting, tmp_path):
-    words = ("/nowhere/compiled", str(painting), "--recipe", "psbox", "--out")
+    words = ("/dev/null/compiled", str(painting), "--recipe", "psbox", "--out")
     cache = {"XDG_CACHE_HOME": str(tmp_path / "cache"), "NUMBA_CACHE_DIR": ""}
     first = digitise(*words, str(tmp_path / "first"), **cache)
     assert first.stderr.count("compiling loops, once per machine") == 1
