@@ -40,14 +40,16 @@ def block_means(array: Array, factor: int, out: Array) -> None:
 
 @kernel
 def line_means(
-    numbers: Array, scale: float, level: float, largest: float, means: Array, saturated: Array
+    numbers: Array, block: int, scale: float, level: float, largest: float, means: Array, saturated: Array
 ) -> None:
-    """Means of the light of some lines of a photograph (n, w * block, C), block by block.
+    """Means of the light of some lines of a photograph, block by block.
 
     Parameters
     ----------
     numbers : (n, W, C) array of uint8 or uint16
-        What the file holds.
+        What the file holds; columns that fill no block are left out.
+    block : int
+        Columns of a block.
     scale, level, largest : float
         Light per number, the number at which the sensor saturates, the largest light there is.
     means : (w, C) float32 array
@@ -56,7 +58,6 @@ def line_means(
         Receives the share of pixels of which any colour is saturated.
     """
     lines, count = numbers.shape[0], means.shape[0]
-    block = numbers.shape[1] // count
     sums = np.zeros(numbers.shape[2])
     for m in range(count):
         sums[:] = 0

@@ -119,7 +119,7 @@ def _divergence(
     limit = np.float32(1 / np.tan(np.radians(steepest_deg)) ** 2)
     size, plane = np.float32(grid.pixel_size), np.array(tilt, np.float32)
     # A memory map is none to Numba, but its plain view is.
-    field = read_only(np.asarray(normals, np.float32))
+    field = read_only(np.ascontiguousarray(normals, np.float32))
 
     def by_loops(lines: slice) -> int:
         return compiled_integration.divergence(

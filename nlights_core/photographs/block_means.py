@@ -101,7 +101,7 @@ def _means(
         first = row * block + (block - lines) // 2
         if compiled:
             photograph.numbers(first, first + lines, numbers)
-            line_means(numbers[:, :columns], *photograph.scale, mean[row], share[row])
+            line_means(numbers, block, *photograph.scale, mean[row], share[row])
             continue
         light = photograph.band(first, first + lines)[:, :columns]
         # Down first: along the memory that is a sum of whole rows.

@@ -10,6 +10,7 @@ import numpy as np
 from nlights_core.files.reduction import block_means
 from nlights_core.frames import Array, PixelGrid
 from nlights_core.machine.band_threads import in_order
+from nlights_core.machine.kernel_switch import read_only
 from nlights_core.products.viewing import srgb_codes
 
 REDUCED_PIXELS = 8_000_000
@@ -219,8 +220,10 @@ def deviation(places: Array, corners: Array, height: Array) -> dict[str, float]:
     """
     from nlights_core.products import compiled_meshes
 
+    triangles, surface = np.asarray(corners, np.int32), read_only(np.ascontiguousarray(height, np.float32))
+
     def parts(band: slice) -> tuple[float, float, int, int, int]:
-        return compiled_meshes.deviation(places, corners, height, band.start, band.stop)
+        return compiled_meshes.deviation(places, triangles, surface, band.start, band.stop)
 
     # Few bands: each looks through all triangles for its own.
     rows = max(1, -(-len(height) // BANDS))

@@ -23,6 +23,7 @@ import numpy as np
 from nlights_core.capture import Tile
 from nlights_core.configurations import load_stand
 from nlights_core.errors import NlightsError
+from nlights_core.frames import PixelGrid
 from nlights_core.machine import compilation
 from nlights_core.machine.band_threads import cores
 from nlights_core.machine.compilation import Compilation, call_on_compiling
@@ -30,6 +31,7 @@ from nlights_core.machine.kernel_cache import install, is_prepared, set_prepared
 from nlights_core.machine.kernel_switch import available
 from nlights_core.machine.targets import NATIVE, Target, supported_targets
 from nlights_core.manifest import load_capture
+from nlights_core.products.meshes import write_glb
 from nlights_core.recipe import Recipe, load_recipe
 from nlights_core.registry import is_bundled
 from nlights_core.store import ArtefactRef, Store, Work
@@ -38,6 +40,9 @@ from nlights_flows.tiles.chain import digitise_tile
 
 WIDTH = 160
 """Of the simulated painting, px."""
+
+FEW_FACES = 500
+"""Of the mesh of some bumps of that width and height."""
 
 OTHER_SOLVERS = ("rank-trim", "median-of-triplets")
 """Bundled solvers that no shipped recipe uses."""
@@ -181,6 +186,11 @@ def _measure(tile: Tile, recipe: Recipe, store: Store, until: str | None) -> Non
 
     with suppress(_EnoughError):
         digitise_tile(tile, recipe, call)
+        # The height of a larger painting has more faces than its mesh may have, and is refined by other loops.
+        x, y = np.meshgrid(np.arange(WIDTH, dtype=np.float32), np.arange(WIDTH, dtype=np.float32))
+        with store.scratch() as folder:
+            bumps = np.sin(x / 9) * np.cos(y / 7)
+            write_glb(folder / "mesh.glb", bumps, bumps, PixelGrid(WIDTH, WIDTH, 1.0), faces=FEW_FACES)
 
 
 class _EnoughError(Exception):

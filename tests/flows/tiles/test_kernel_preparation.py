@@ -8,15 +8,18 @@ from contextlib import contextmanager
 
 import pytest
 
+from nlights_core.configurations import load_stand
 from nlights_core.machine import compilation, kernel_cache
 from nlights_core.machine.targets import NATIVE, supported_targets
 from nlights_core.recipe import load_recipe
+from nlights_core.simulation.captures import simulate
 from nlights_flows.tiles import kernel_preparation
 from nlights_flows.tiles.examination import facts
 from nlights_flows.tiles.kernel_preparation import compiled_beside, measure_tiny
 
 DIGITISE = """
 import pathlib, sys
+from nlights_core.configurations import load_stand
 from nlights_core.machine import compilation, kernel_cache
 if sys.argv[1] != "as it is":
     kernel_cache.INSTALLED = pathlib.Path(sys.argv[1])
@@ -41,11 +44,19 @@ def digitise(installed: str, *words: str, **environment: str) -> subprocess.Comp
     return done
 
 
-@pytest.mark.parametrize("recipe", ["default", "paper"])
-def test_a_prepared_installation_compiles_nothing_for_a_painting(painting, tmp_path, recipe):
+@pytest.fixture(scope="module")
+def usual(tmp_path_factory):
+    """A painting of a usual size: its mesh has fewer faces than its height."""
+    folder = tmp_path_factory.mktemp("usual") / "painting"
+    simulate(folder, load_stand("horizontal"), scene="painting", width=800, seed=1)
+    return folder
+
+
+@pytest.mark.parametrize("recipe", ["default", "paper", "psbox"])
+def test_a_prepared_installation_compiles_nothing_for_a_painting(usual, tmp_path, recipe):
     if not any(map(kernel_cache.is_prepared, [target.name for target in supported_targets()] or [NATIVE])):
         pytest.skip("the loops were not prepared: nlights doctor --warm")
-    done = digitise("as it is", str(painting), "--recipe", recipe, "--out", str(tmp_path / "out"))
+    done = digitise("as it is", str(usual), "--recipe", recipe, "--out", str(tmp_path / "out"))
     assert "compiled 0\n" in done.stdout, done.stdout
     assert "once per machine" not in done.stderr
 
