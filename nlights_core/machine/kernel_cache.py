@@ -69,7 +69,7 @@ def is_trusted(folder: Path) -> bool:
     if not hasattr(os, "getuid"):  # Windows keeps home folders apart by other means
         return True
     owners = {0, os.getuid(), Path(sys.prefix).stat().st_uid}
-    return status.st_uid in owners and not status.st_mode & 0o002
+    return status.st_uid in owners and not status.st_mode & 0o022
 
 
 @cache
