@@ -84,7 +84,6 @@ def run_night(order: Order, run_artwork: RunArtwork, at_once: int = 1) -> NightR
 @contextmanager
 def elsewhere(order: Order) -> Iterator[tuple[Order, int]]:
     """The order with the address of the scheduler that does it, and how many artworks keep its workers busy."""
-    order.options.check()
     with order.options.in_force(), dask_runner.reachable(order.options) as address:
         there = replace(order, options=replace(order.options, address=address))
         yield there, dask_runner.workers(address) if address else 1
