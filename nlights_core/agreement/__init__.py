@@ -1,0 +1,1 @@
+"""Agreement: whether the photographs of a tile agree with their flats, with one another and with the stand."""

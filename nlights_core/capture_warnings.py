@@ -1,0 +1,58 @@
+"""Warnings about a capture: what its photographs show that nobody meant, with a code, the lamps and a remedy."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+FILE = "warnings.json"
+"""Where a tile's warnings stand, beside its numbers."""
+
+
+@dataclass(frozen=True)
+class CaptureWarning:
+    """One thing that is wrong with a capture, or may be; the tile is measured nevertheless.
+
+    Attributes
+    ----------
+    code : str
+        Kind of the fault, for programs: lower-case words joined by hyphens.
+    sentence : str
+        What was found, where, and what to do, for people.
+    lamps : tuple of str
+        Whose photographs are concerned, in the tile's order; empty: all of them, or none in particular.
+    value : float or None
+        How much, where that is one number.
+    unit : str
+        Unit of the value.
+    """
+
+    code: str
+    sentence: str
+    lamps: tuple[str, ...] = ()
+    value: float | None = None
+    unit: str = ""
+
+    def record(self) -> dict[str, Any]:
+        """Plain values, as they stand in JSON."""
+        return asdict(self) | {"lamps": list(self.lamps)}
+
+
+def write_warnings(folder: Path, found: Sequence[CaptureWarning]) -> None:
+    """Write ``warnings.json``: a list, empty where nothing is wrong."""
+    text = json.dumps([warning.record() for warning in found], indent=1)
+    (folder / FILE).write_text(text + "\n", encoding="utf-8")
+
+
+def read_warnings(folder: Path) -> list[CaptureWarning]:
+    """Read what `write_warnings` wrote; an empty list where there is no such file."""
+    path = folder / FILE
+    if not path.is_file():
+        return []
+    return [
+        CaptureWarning(**{**record, "lamps": tuple(record["lamps"])})
+        for record in json.loads(path.read_text(encoding="utf-8"))
+    ]
