@@ -348,6 +348,7 @@ def refine_by_photographs(tile: Tile, field: LightField, prior: float, scratch: 
         if field.near and field.axes is not None:
             block = max(1, room.grid.columns // BLOCKS)
             means = average_blocks(room, block, ROWS)
+            room.check()
             images = grey(means.images / field.power.astype(np.float32)[:, None, None, :])
             images[means.saturated | ~means.inside] = np.nan
             return fit_emission_on_artwork(images, field, *room.grid.block_centres(block))

@@ -86,6 +86,7 @@ def reduced_room(room: Darkroom, progress: Callable[[float], None]) -> ReducedRo
     """
     factor = block_edge(room.grid.columns)
     means = average_blocks(room, factor, ROWS, progress)
+    room.check()
     rows, columns = means.inside.shape
     kept = {f.name: getattr(room, f.name) for f in fields(Darkroom) if f.init and not f.name.startswith("_")}
     kept |= {

@@ -35,7 +35,7 @@ class BlockMeans(NamedTuple):
 def average_blocks(
     room: Darkroom, block: int, rows: int, progress: Callable[[float], None] = lambda _: None
 ) -> BlockMeans:
-    """Average the photographs of a darkroom over blocks; then check their exposures.
+    """Average the photographs of a darkroom over blocks; ask `Darkroom.check` then whether they say anything.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def average_blocks(
     Raises
     ------
     TileError
-        When a photograph is black or saturated throughout, or cannot be read.
+        When a photograph cannot be read.
     """
     shape = (room.grid.rows // block, room.grid.columns // block)
     limited = bool(np.isfinite(room.info.saturation))
@@ -79,7 +79,6 @@ def average_blocks(
         progress(done / len(lamps))
     for lamp, image, share in zip(lamps, images, shares, strict=True):
         room.exposures[lamp] = _exposure(image[inside], share[inside])
-    room.check()
     return BlockMeans(images, shares > 0, inside)
 
 

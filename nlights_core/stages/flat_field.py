@@ -55,6 +55,7 @@ def flat_field(store: Store, tile: Tile, detrend: ImageDetrend, lights: Artefact
         if "flats" in detrend.needs:
             with store.scratch() as scratch, darkroom(tile, scratch, flats=True) as room:
                 means = average_blocks(room, block, ROWS, progress)
+                room.check()
                 flats = means.images / field.power.astype(np.float32)[:, None, None, :]
                 flats[means.saturated] = np.nan
                 write_noise(folder, room.noise)

@@ -1,0 +1,119 @@
+"""Samples: the photographs of a tile reduced to a small picture each, to be compared with one another."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from nlights_core.capture import Tile
+from nlights_core.frames import Array, PixelGrid
+from nlights_core.photographs.block_means import BlockMeans, average_blocks
+from nlights_core.photographs.development import darkroom
+from nlights_core.photographs.images import Photograph, grey
+
+ACROSS = 240
+"""About how many samples a photograph is wide, or more: what is compared is light, not detail."""
+
+ROWS = 4
+"""About how many rows of each block are read: their mean is good enough."""
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Small pictures of the photographs of a tile: grey linear light, fractions of saturation.
+
+    Attributes
+    ----------
+    lamps : tuple of str
+        In the order of the first axis.
+    frames : (L, h, w) float32 array
+        Dark subtracted; NaN where a pixel of the block is saturated, and outside the mask.
+    flats : (L, h, w) float32 array or None
+        The same of the photographs of the flat, without the mask; None where there are none.
+    dark : (h, w) float32 array or None
+        The dark frame itself.
+    inside : (h, w) bool array
+        The mask.
+    grid : PixelGrid
+        Where the blocks are on the plane.
+    block : int
+        Edge of a block, px of the photographs.
+    """
+
+    lamps: tuple[str, ...]
+    frames: Array
+    flats: Array | None
+    dark: Array | None
+    inside: Array
+    grid: PixelGrid
+    block: int
+
+
+def sample_photographs(
+    tile: Tile, flats: bool, scratch: Path, progress: Callable[[float], None] = lambda _: None
+) -> Samples:
+    """Read some rows of every photograph of a tile as means over blocks of pixels.
+
+    Parameters
+    ----------
+    tile : Tile
+    flats : bool
+        Whether the photographs of the flat are read too, if there are any.
+    scratch : Path
+        Folder for what must be kept decoded.
+    progress : callable
+        Told the share done.
+
+    Returns
+    -------
+    Samples
+
+    Raises
+    ------
+    TileError
+        When a photograph is missing, cannot be read, or does not fit the others.
+    """
+    with_flats = flats and bool(tile.flats)
+    share = 0.5 if with_flats else 1.0
+    with darkroom(tile, scratch) as room:
+        block = max(1, room.grid.columns // ACROSS)
+        frames = average_blocks(room, block, ROWS, lambda done: progress(share * done))
+        grid = room.grid
+        dark = _reduced_dark(room.dark, block, frames.inside.shape)
+    small = None
+    if with_flats:
+        with darkroom(tile, scratch, flats=True) as room:
+            small = average_blocks(room, block, ROWS, lambda done: progress(0.5 + 0.5 * done))
+    rows, columns = frames.inside.shape
+    return Samples(
+        lamps=tile.lamps,
+        frames=_known(frames),
+        flats=None if small is None else _known(small),
+        dark=dark,
+        inside=frames.inside,
+        grid=PixelGrid(rows, columns, grid.pixel_size * block, grid.camera, grid.unit),
+        block=block,
+    )
+
+
+def _known(means: BlockMeans) -> Array:
+    """Grey light, NaN where a block is saturated or outside."""
+    light = grey(means.images)
+    light[means.saturated | ~means.inside] = np.nan
+    return light
+
+
+def _reduced_dark(dark: Photograph | None, block: int, shape: tuple[int, int]) -> Array | None:
+    """The dark frame as means over some rows of each block."""
+    if dark is None:
+        return None
+    lines = min(ROWS, block)
+    found = np.empty(shape, np.float32)
+    for row in range(shape[0]):
+        first = row * block + (block - lines) // 2
+        light = grey(dark.band(first, first + lines)[:, : shape[1] * block])
+        found[row] = light.mean(axis=0).reshape(shape[1], block).mean(axis=1)
+    return found
