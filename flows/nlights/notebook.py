@@ -49,7 +49,7 @@ def tile_html(tile: TileResult) -> str:
         tile=tile,
         title=tile.provenance["title"] or tile.artwork,
         sentence=_sentence(quality),
-        warnings=[number.warning for number in quality.values() if number.warning],
+        warnings=tile.warnings,
         pictures=[("Albedo", _picture(albedo)), ("Raking light", _picture(pictures.grey(shade)))],
         numbers=[
             (n.name, figure_of(n.value, n.unit) if n.value is not None else n.missing, n.unit) for n in chief

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from nlights.calling import in_python, run_options, told_in_python
 from nlights.maps import Map
+from nlights_core.capture_warnings import FILE, CaptureWarning, read_warnings
 from nlights_core.errors import CaptureError, TileError
 from nlights_core.files.tiffs import Compression, read_tiff
 from nlights_core.frames import PixelGrid
@@ -110,6 +111,11 @@ class TileResult:
         """The numbers of the report, by name; each has value, unit, meaning and warning."""
         rows = json.loads(self._path("quality.json").read_text(encoding="utf-8"))
         return Numbers((row["name"], Number(**row)) for row in rows)
+
+    @cached_property
+    def warnings(self) -> list[CaptureWarning]:
+        """Warnings about the capture, the most urgent first; each has code, lamps, value, unit and sentence."""
+        return read_warnings(self._path(FILE).parent)
 
     @cached_property
     def provenance(self) -> dict[str, Any]:

@@ -42,6 +42,7 @@ WHAT = {
     "mesh.glb": "decimated mesh with the albedo as its texture, metres",
     "report.html": "pictures and numbers",
     "quality.json": "the numbers of the report",
+    "warnings.json": "what is wrong with the capture, or may be",
     "provenance.json": "what made these files, in full",
 }
 

@@ -42,6 +42,8 @@ class Number:
         of the recipe could have given one.
     warning : str
         What is wrong with it and what to do, in a sentence; empty where nothing is.
+    code : str
+        Kind of that fault, for programs; see `nlights_core.capture_warnings.CaptureWarning`.
     """
 
     group: str
@@ -51,6 +53,7 @@ class Number:
     meaning: str
     missing: str = NOT_MEASURED
     warning: str = ""
+    code: str = ""
 
 
 def figure_of(value: float | None, unit: str = "") -> str:

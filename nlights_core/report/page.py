@@ -7,6 +7,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from nlights_core.capture_warnings import CaptureWarning
 from nlights_core.frames import Array, PixelGrid
 from nlights_core.report.chapters import Chapter, Views, chapters
 from nlights_core.report.figures import Number, figure_of
@@ -90,7 +91,11 @@ def draw(record: Mapping[str, Any], maps: Mapping[str, Array], grid: PixelGrid) 
 
 
 def write_report(
-    path: str | Path, record: Mapping[str, Any], drawing: Drawing, numbers: Sequence[Number]
+    path: str | Path,
+    record: Mapping[str, Any],
+    drawing: Drawing,
+    numbers: Sequence[Number],
+    warnings: Sequence[CaptureWarning] = (),
 ) -> None:
     """Write the report of a tile: one HTML file that needs nothing else, neither network nor script.
 
@@ -108,6 +113,8 @@ def write_report(
         Of the same record.
     numbers : sequence of Number
         What `nlights_core.report.quality.measure` found.
+    warnings : sequence of CaptureWarning
+        In the order in which they should be read.
 
     Raises
     ------
@@ -140,7 +147,7 @@ def write_report(
         facts=_facts(record, grid),
         chapters=drawing.chapters,
         groups=groups,
-        warnings=[number.warning for number in numbers if number.warning],
+        warnings=warnings,
         lamps=_lamp_rows(record.get("lights") or {}),
         near=bool((record.get("lights") or {}).get("positions")),
         recipe=yaml.safe_dump(recipe, sort_keys=False, allow_unicode=True) if recipe else "",

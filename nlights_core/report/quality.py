@@ -329,7 +329,8 @@ def of_flat(check: StandCheck | None, stand: str | None, missing: str) -> list[N
         )
 
     def number(name: str, value: float | None, unit: str, meaning: str, warning: str = "") -> Number:
-        return Number("Flat", name, value, unit, meaning, missing if check is None else NOT_MEASURED, warning)
+        absent = missing if check is None else NOT_MEASURED
+        return Number("Flat", name, value, unit, meaning, absent, warning, "stand" if warning else "")
 
     return [
         number(
@@ -362,6 +363,7 @@ def of_level(level: Level) -> list[Number]:
     """Numbers that the photographs give of the surface's level and of the lamps since the flats were taken."""
     found = level.uncertainty is not None
     drift = 100 * (float(np.max(level.strengths)) - float(np.min(level.strengths)))
+    drifted = found and drift > MOST_DRIFT
     return [
         Number(
             "Level",
@@ -385,7 +387,8 @@ def of_level(level: Level) -> list[Number]:
             "Strongest against weakest; it was corrected, and counts as 0 where the flats are no better "
             "known. Above 2 %, photograph the flats again.",
             warning=f"The lamps have changed by {drift:.1f} % since the flats were taken: photograph the flats again."
-            if found and drift > MOST_DRIFT
+            if drifted
             else "",
+            code="drift" if drifted else "",
         ),
     ]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 from pathlib import Path
@@ -11,6 +11,7 @@ from typing import Any
 
 from nlights_core import __version__
 from nlights_core.capture import Tile
+from nlights_core.capture_warnings import CaptureWarning, read_warnings, write_warnings
 from nlights_core.fields import LightField
 from nlights_core.files import tiffs
 from nlights_core.files.arrays import read_array
@@ -36,7 +37,7 @@ def write_report(
     refs: Mapping[str, ArtefactRef | None],
     grid: PixelGrid,
 ) -> None:
-    """Write ``report.html``, ``quality.json`` and ``provenance.json``."""
+    """Write ``report.html``, ``quality.json``, ``warnings.json`` and ``provenance.json``."""
     from nlights_core.report.page import draw
     from nlights_core.report.page import write_report as write_html
 
@@ -81,7 +82,9 @@ def write_report(
         if height.stage == "level":
             numbers += quality.of_level(read_level(store.path(height)))
         numbers = quality.grouped(numbers)
-        write_html(folder / "report.html", said, drawing.result(), numbers)
+        warnings = _warnings(read_warnings(made["agreement"]), numbers)
+        write_html(folder / "report.html", said, drawing.result(), numbers, warnings)
+    write_warnings(folder, warnings)
     provenance = {
         "nlights": __version__,
         "artwork": tile.artwork,
@@ -126,6 +129,20 @@ def _numbers(
         tile.lamps,
         absent,
     )
+
+
+FIRST = "Mend what stands above first; if this stays: "
+"""Beginning of what numbers warn of where photographs do not agree: most of it has the same cause."""
+
+
+def _warnings(photographs: list[CaptureWarning], numbers: Sequence[Number]) -> list[CaptureWarning]:
+    """Warnings of the photographs about themselves, then of the numbers made of them."""
+    before = FIRST if photographs else ""
+    return photographs + [
+        CaptureWarning(number.code, before + number.warning, (), number.value, number.unit)
+        for number in numbers
+        if number.warning
+    ]
 
 
 def _lineage(store: Store, refs: Mapping[str, ArtefactRef | None]) -> list[dict[str, Any]]:

@@ -5,6 +5,7 @@ calling directly and running as a Prefect task are the same words.  ``Work.make`
 puts; an algorithm never sees a file, and a stage never sees Prefect.
 """
 
+from nlights_core.stages.agreement import agreement
 from nlights_core.stages.bias import bias
 from nlights_core.stages.flat_field import flat_field
 from nlights_core.stages.height import height
@@ -18,6 +19,7 @@ from nlights_core.stages.report import report
 from nlights_core.stages.trend import trend
 
 __all__ = [
+    "agreement",
     "bias",
     "flat_field",
     "height",

@@ -11,7 +11,16 @@ from nlights_core.photographs.headers import grid_of, survey
 from nlights_core.report.writing import write_report
 from nlights_core.store import ArtefactRef, Store, Work, describe
 
-RESTS_ON = ("integration", "lamps", "near_light", "photographs", "products", "report", "solving")
+RESTS_ON = (
+    "capture_warnings",
+    "integration",
+    "lamps",
+    "near_light",
+    "photographs",
+    "products",
+    "report",
+    "solving",
+)
 """Departments whose code decides the result, beside what all results rest on."""
 
 
@@ -21,6 +30,7 @@ def report(
     recipe: dict[str, Any],
     lights: ArtefactRef,
     flat_field: ArtefactRef | None,
+    agreement: ArtefactRef,
     bias: ArtefactRef | None,
     normals: ArtefactRef,
     height: ArtefactRef,
@@ -28,10 +38,11 @@ def report(
     maps: ArtefactRef,
     mesh: ArtefactRef,
 ) -> Work:
-    """Products for people: ``report.html``, ``quality.json``, ``provenance.json``."""
+    """Products for people: ``report.html``, ``quality.json``, ``warnings.json``, ``provenance.json``."""
     inputs = {
         "lights": lights,
         "flat_field": flat_field,
+        "agreement": agreement,
         "bias": bias,
         "normals": normals,
         "height": height,

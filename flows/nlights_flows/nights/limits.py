@@ -79,8 +79,8 @@ class Limits(Record):
         Returns
         -------
         list of dict
-            "limit" (its name), "name", "value", "unit", "warn", "fail", "smallest", "verdict" (None where the
-            number was not measured) and "warning", in the order of the limits.
+            "limit" (its name), "name", "value", "unit", "warn", "fail", "smallest" and "verdict" (None where the
+            number was not measured), in the order of the limits.
         """
         return [
             {
@@ -92,7 +92,6 @@ class Limits(Record):
                 "fail": limit.fail,
                 "smallest": limit.smallest,
                 "verdict": None if row["value"] is None else limit.verdict(row["value"]),
-                "warning": row.get("warning", ""),
             }
             for limit in self.limits
             for row in rows

@@ -62,6 +62,7 @@ def _shown(record: NightRecord, out: Path) -> dict[str, Any]:
         "sentence": summarise_night(record),
         "mood": mood(data),
         "failures": [a for a in artworks if a["state"] == "failed"],
+        "doubts": doubts(artworks),
         "beyond": beyond(artworks),
         "moved": moved(data),
         "left": [
@@ -122,6 +123,17 @@ def _allowed(row: Mapping[str, Any]) -> str:
     return f"{word} {row['fail']:g}, {limits}" if row["fail"] is not None else f"{word} {row['warn']:g}"
 
 
+def doubts(artworks: Sequence[Mapping[str, Any]]) -> list[tuple[str, str, str, str]]:
+    """Warnings about captures of this night: artwork, tile, link, sentence."""
+    return [
+        (artwork["artwork"], tile["tile"], tile["link"], warning["sentence"])
+        for artwork in artworks
+        for tile in artwork["tiles"]
+        if tile["state"] == "done"
+        for warning in tile["warnings"]
+    ]
+
+
 def beyond(artworks: Sequence[Mapping[str, Any]]) -> list[tuple[str, str, str, dict[str, Any]]]:
     """Numbers that are not within their limits: artwork, tile, link, number; the worst first."""
     found = [
@@ -142,7 +154,7 @@ def mood(data: Mapping[str, Any]) -> str:
     if "failed" in states or "fail" in verdicts:
         return "bad"
     unfinished = states & {"left", "waiting", "claimed elsewhere"}
-    return "open" if unfinished or "warn" in verdicts or moved(data) else "good"
+    return "open" if unfinished or "warn" in verdicts or doubts(data["artworks"]) or moved(data) else "good"
 
 
 def moved(data: Mapping[str, Any]) -> list[tuple[str, dict[str, Any]]]:

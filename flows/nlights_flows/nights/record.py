@@ -48,6 +48,8 @@ class TileEntry:
         Quality numbers with limits, see `nlights_flows.nights.limits.Limits.judged`.
     verdict : {"ok", "warn", "fail"} or None
         The worst of them.
+    warnings : list of dict
+        About the capture, see `nlights_core.capture_warnings`.
     products : str or None
         Folder of the products, relative to OUT.
     measured : dict or None
@@ -61,6 +63,7 @@ class TileEntry:
     megapixels: float | None = None
     numbers: list[dict[str, Any]] = field(default_factory=list)
     verdict: str | None = None
+    warnings: list[dict[str, Any]] = field(default_factory=list)
     products: str | None = None
     measured: dict[str, Any] | None = None
 

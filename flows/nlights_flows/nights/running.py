@@ -13,6 +13,7 @@ from datetime import datetime
 from functools import partial
 
 from nlights_core.capture import Tile
+from nlights_core.capture_warnings import read_warnings
 from nlights_core.errors import NlightsError
 from nlights_core.products.publishing import publish
 from nlights_flows.nights.checking import in_store, require_usable
@@ -294,6 +295,7 @@ class Night:
                 one.products = outcome.folder.relative_to(self.night.order.options.out).as_posix()
                 one.measured = measured(outcome.folder)
                 one.numbers, one.verdict, size = numbers_of(outcome.folder, self.night.limits)
+                one.warnings = [warning.record() for warning in read_warnings(outcome.folder)]
                 one.megapixels = one.megapixels or size
             if outcome.state == "done" and one.megapixels:
                 self._timed.insert(0, (one.megapixels, outcome.seconds))

@@ -37,6 +37,8 @@ def digitise_tile(
     detrend = recipe.detrend
     lights = call(stages.lights, tile, recipe.light_model)
     flat_field = call(stages.flat_field, tile, detrend.images, lights) if detrend.images else None
+    flats = any("flats" in algorithm.needs for algorithm in recipe.algorithms())
+    agreement = call(stages.agreement, tile, lights, flats)
     bias = overview = trend = None
     if detrend.normals:
         bias = call(stages.bias, tile, detrend.normals, recipe.normals, lights, flat_field)
@@ -56,7 +58,20 @@ def digitise_tile(
     maps = call(stages.maps, tile, normals, height, trend, surface, perspective, compression)
     mesh = call(stages.mesh, tile, maps, height)
     record = recipe_record(recipe)
-    report = call(stages.report, tile, record, lights, flat_field, bias, normals, height, trend, maps, mesh)
+    report = call(
+        stages.report,
+        tile,
+        record,
+        lights,
+        flat_field,
+        agreement,
+        bias,
+        normals,
+        height,
+        trend,
+        maps,
+        mesh,
+    )
     return {"maps": maps, "mesh": mesh, "report": report}
 
 
@@ -69,7 +84,7 @@ def steps(recipe: Recipe) -> int:
     """Number of stages that the chain calls for a tile, for a progress bar."""
     detrend = recipe.detrend
     optional = (detrend.images, detrend.normals, detrend.height)
-    return 6 + sum(part is not None for part in optional) + (recipe.passes > 1) + _levels(recipe)
+    return 7 + sum(part is not None for part in optional) + (recipe.passes > 1) + _levels(recipe)
 
 
 def _levels(recipe: Recipe) -> bool:

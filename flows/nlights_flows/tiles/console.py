@@ -17,6 +17,7 @@ from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextC
 from rich.table import Table
 
 from nlights_core.capture import Tile
+from nlights_core.capture_warnings import read_warnings
 from nlights_core.errors import CaptureError
 from nlights_core.machine import compilation
 from nlights_core.machine.compilation import Compilation
@@ -150,11 +151,8 @@ def show_outcomes(outcomes: Sequence[Outcome]) -> None:
 
 
 def warnings_of(outcome: Outcome) -> list[str]:
-    """Warnings of the quality numbers of a tile, as sentences."""
-    path = outcome.folder / "quality.json" if outcome.folder else None
-    if path is None or not path.is_file():
-        return []
-    return [row["warning"] for row in json.loads(path.read_text(encoding="utf-8")) if row.get("warning")]
+    """Warnings about a tile's capture, as sentences."""
+    return [warning.sentence for warning in read_warnings(outcome.folder)] if outcome.folder else []
 
 
 def show_facts(facts: Sequence[tuple[str, str]]) -> None:
