@@ -1,4 +1,4 @@
-"""The stage that says whether the photographs agree."""
+"""The stage that compares the photographs with one another."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ RESTS_ON = ("agreement", "capture_warnings", "photographs")
 
 
 def agreement(store: Store, tile: Tile, lights: ArtefactRef, flats: bool) -> Work:
-    """Whether the photographs agree with one another and with their flats: ``warnings.json``.
+    """Agreement of the photographs with one another and with their flats: ``warnings.json``.
 
     Nothing that is measured rests on it.  ``flats``: whether the recipe uses the photographs of the flat.
     """

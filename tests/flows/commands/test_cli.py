@@ -25,6 +25,7 @@ PRODUCTS = {
     "quality.json",
     "reflection.tif",
     "report.html",
+    "warnings.json",
 }
 
 
