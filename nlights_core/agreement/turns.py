@@ -1,0 +1,121 @@
+"""Turns: photographs that were turned or mirrored against the others."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nlights_core.agreement.coarse_light import CoarseLight, known_medians, variance
+from nlights_core.agreement.wording import flat_name, frame_name
+from nlights_core.capture import Tile
+from nlights_core.capture_warnings import CaptureWarning
+from nlights_core.frames import Array
+
+ACROSS = 80
+"""About how many cells a photograph is wide: patterns of the artwork tell as well as light."""
+
+LEAST_LAMPS = 4
+"""The others tell what a photograph should show: of two others none is the odd one."""
+
+TURNED = 0.5
+"""Misfit of a photograph when it is turned, over that as it is, below which it was.  Sound ones stay above 1.5,
+turned ones below 0.3."""
+
+STRANGE = 4.0
+"""As many times the median lamp's must the misfit of a turned photograph be as it is: sound ones are alike."""
+
+EITHER = 0.7
+"""Ratio of misfits below which it is told from the picture alone whether the photograph or the flat was turned."""
+
+WAYS = {
+    "turned by 180 degrees": (slice(None, None, -1), slice(None, None, -1)),
+    "mirrored left to right": (slice(None), slice(None, None, -1)),
+    "mirrored top to bottom": (slice(None, None, -1), slice(None)),
+}
+"""What a camera's or a converter's tag of orientation does to pictures that keep their shape: rows, columns."""
+
+
+def find_turned(cells: CoarseLight, tile: Tile) -> list[CaptureWarning]:
+    """Look for single photographs or flats that fit the others only when they are turned or mirrored.
+
+    Parameters
+    ----------
+    cells : CoarseLight
+        Of lamps whose photographs are in their places.
+    tile : Tile
+
+    Returns
+    -------
+    list of CaptureWarning
+        One for each lamp.
+    """
+    if len(cells.lamps) < LEAST_LAMPS:
+        return []
+    light = cells.flats if cells.flats is not None else cells.computed
+    frames = cells.frames
+    others = _medians_of_others(frames)
+    light = np.zeros_like(frames) if light is None else light - _medians_of_others(light)
+    own = _variances(frames - others - light)
+    usual = np.nanmedian(own) if np.isfinite(own).any() else np.nan
+    found = []
+    for i, lamp in enumerate(cells.lamps):
+        if not own[i] > STRANGE * usual:
+            continue
+        way, ratio, kind = _best_way(cells, i, others[i], light[i], own[i])
+        if ratio < TURNED:
+            found.append(_turned(tile, lamp, way, kind, ratio))
+    return found
+
+
+def _best_way(cells: CoarseLight, i: int, others: Array, light: Array, own: float) -> tuple[str, float, str]:
+    """How photograph or flat of a lamp fit best, the ratio of the misfit, and which of the two was turned."""
+    frame = cells.frames[i]
+    frames_turned = {way: _variances(frame[place] - others - light) / own for way, place in WAYS.items()}
+    way = min(frames_turned, key=lambda way: float(np.nan_to_num(frames_turned[way], nan=np.inf)))
+    best = float(frames_turned[way])
+    if cells.flats is None:
+        return way, best, "frame"
+    flat = cells.flats[i]
+    flats_turned = {
+        way: float(_variances(frame - others - (light - flat + flat[place])) / own) for way, place in WAYS.items()
+    }
+    way_of_flat = min(flats_turned, key=lambda way: float(np.nan_to_num(flats_turned[way], nan=np.inf)))
+    best_of_flat = flats_turned[way_of_flat]
+    if best < EITHER * best_of_flat:
+        return way, best, "frame"
+    if best_of_flat < EITHER * best:
+        return way_of_flat, best_of_flat, "flat"
+    # A plane without a pattern: only the stand tells which of the two has the light on the wrong side.
+    kind = "either"
+    if cells.computed is not None:
+        computed = cells.computed[i]
+        by_frame, by_flat = (float(_variances(one - computed)) for one in (frame, flat))
+        if min(by_frame, by_flat) < EITHER * max(by_frame, by_flat):
+            kind = "frame" if by_frame > by_flat else "flat"
+    return (way_of_flat, best_of_flat, kind) if kind == "flat" else (way, best, kind)
+
+
+def _medians_of_others(light: Array) -> Array:
+    """Median of all other lamps, for each lamp of (L, h, w); NaN where less than half of them are known."""
+    count = len(light)
+    last = np.moveaxis(light, 0, -1)
+    return np.stack([known_medians(np.delete(last, i, axis=-1), 0.5) for i in range(count)])
+
+
+def _variances(differences: Array) -> Array:
+    """Robust variances of pictures (..., h, w)."""
+    return variance(differences.reshape(*differences.shape[:-2], -1))
+
+
+def _turned(tile: Tile, lamp: str, way: str, kind: str, ratio: float) -> CaptureWarning:
+    frame, flat = frame_name(tile, lamp), flat_name(tile, lamp)
+    which = {"frame": frame, "flat": flat, "either": f"{frame} or {flat}"}[kind]
+    times = ratio**-0.5
+    return CaptureWarning(
+        "turned",
+        f"{which} (lamp {lamp}) is {way} against the other photographs: turned back it agrees {times:.1f} times "
+        "better, where a photograph the right way round agrees best as it is; export it again with the orientation "
+        "of the others (a tag of orientation may have been applied to it alone)",
+        (lamp,),
+        times,
+        "times better agreement",
+    )
