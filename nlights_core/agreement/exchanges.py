@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import NamedTuple
 
 import numpy as np
@@ -15,16 +16,25 @@ from nlights_core.frames import Array
 LEAST_LAMPS = 4
 """What lamps have in common is their median, which one exchange among three would decide."""
 
-SWAPPED = 0.4
-"""Misfit of photographs and flats when lamps change places, over that as they are listed, below which they did.
-Sound captures stay above 4, and so an exchange below 1/4."""
+SWAPPED = 0.75
+"""Misfit of photographs when lamps change places, over that as they are listed, below which they did.  Sound
+captures stay above 1.45 (frames 20 mm high that shade half of a relief, against flats; dark paintings, against
+light computed from the stand), most above 4; an exchange has one over that."""
 
-SWAPPED_BOTH = 0.7
-"""The same of photographs and flats together against the light computed from the stand, which fits less well.
-Sound captures stay above 1.4, and so an exchange below 1/1.4."""
+ITSELF = 1.0
+"""The same of each photograph by itself.  One that is turned fits the flat of the opposite lamp, but that
+lamp's photograph does not fit its flat: it is no exchange."""
+
+FIRMLY = 0.5
+"""The same where one of the photographs, but not all, would fit if it were turned instead."""
+
+FEW = 6
+SWAPPED_OF_FEW = 0.4
+"""`SWAPPED` for fewer than so many lamps, of which one odd photograph shifts what they have in common."""
 
 SURE = 0.8
-"""Ratio of two misfits with the computed light below which the smaller tells whether photographs or flats are meant."""
+"""Ratio of two misfits with the computed light below which the smaller tells whether photographs or flats are meant:
+1 would be a guess."""
 
 
 class Exchange(NamedTuple):
@@ -36,13 +46,16 @@ class Exchange(NamedTuple):
         Each photograph shows the light of the lamp that follows, the last that of the first.
     ratio : float
         Misfit so over misfit as they are listed.
+    worst : float
+        The same of the photograph that gains least.
     """
 
     lamps: tuple[int, ...]
     ratio: float
+    worst: float
 
 
-def find_exchanged(cells: CoarseLight, tile: Tile) -> list[CaptureWarning]:
+def find_exchanged(cells: CoarseLight, tile: Tile, suspects: Collection[str] = ()) -> list[CaptureWarning]:
     """Look for photographs, flats, or both, that are listed under each other's lamps.
 
     Parameters
@@ -50,6 +63,8 @@ def find_exchanged(cells: CoarseLight, tile: Tile) -> list[CaptureWarning]:
     cells : CoarseLight
         Of lamps that fired.
     tile : Tile
+    suspects : collection of str
+        Lamps whose photograph may be turned instead.
 
     Returns
     -------
@@ -61,9 +76,12 @@ def find_exchanged(cells: CoarseLight, tile: Tile) -> list[CaptureWarning]:
     frames = centred(cells.frames)
     flats = None if cells.flats is None else centred(cells.flats)
     light = None if cells.computed is None else centred(cells.computed)
+    turned = {i for i, lamp in enumerate(cells.lamps) if lamp in suspects}
     found, named = [], set[int]()
     if flats is not None:
-        for exchange in exchanges(misfits(frames, flats), SWAPPED):
+        for exchange in exchanges(misfits(frames, flats)):
+            if _may_be_turned(exchange, turned):
+                continue
             which = _which(exchange.lamps, frames, flats, light)
             found.append(_exchanged(cells.lamps, tile, exchange, which))
             named |= set(exchange.lamps)
@@ -73,14 +91,24 @@ def find_exchanged(cells: CoarseLight, tile: Tile) -> list[CaptureWarning]:
     apart = misfits(frames[rest], light[rest])
     if flats is not None:
         apart = np.sqrt(apart * misfits(flats[rest], light[rest]))
-    for exchange in exchanges(apart, SWAPPED_BOTH):
-        lamps = tuple(rest[i] for i in exchange.lamps)
-        both = "both" if flats is not None else "alone"
-        found.append(_exchanged(cells.lamps, tile, Exchange(lamps, exchange.ratio), both))
+    for exchange in exchanges(apart):
+        exchange = exchange._replace(lamps=tuple(rest[i] for i in exchange.lamps))
+        if not _may_be_turned(exchange, turned):
+            both = "both" if flats is not None else "alone"
+            found.append(_exchanged(cells.lamps, tile, exchange, both))
     return found
 
 
-def exchanges(apart: Array, limit: float) -> list[Exchange]:
+def _may_be_turned(exchange: Exchange, suspects: set[int]) -> bool:
+    """Test whether an exchange is better explained by photographs that seem turned.
+
+    If all of them do, they are opposite lamps that changed places.
+    """
+    among = suspects & set(exchange.lamps)
+    return bool(among) and len(among) < len(exchange.lamps) and exchange.worst > FIRMLY
+
+
+def exchanges(apart: Array) -> list[Exchange]:
     """Find the lamps that must change places for the best agreement.
 
     Parameters
@@ -88,31 +116,39 @@ def exchanges(apart: Array, limit: float) -> list[Exchange]:
     apart : (L, L) array
         Misfit of the photograph of each lamp with what each lamp should show; NaN where not known:
         such a lamp stays where it is.
-    limit : float
-        As few of the misfit as listed must be left, in every cycle of lamps.
 
     Returns
     -------
     list of Exchange
         The most certain first.
     """
-    from scipy.optimize import linear_sum_assignment
-
     known = np.flatnonzero(np.isfinite(apart).all(axis=1) & np.isfinite(apart).all(axis=0))
     misfit = apart[np.ix_(known, known)]
-    # So weighed, the best assignment has no cycle that fails the limit, nor one longer than it must be.
-    weighed = misfit / limit
-    np.fill_diagonal(weighed, np.diag(misfit))
-    shown = linear_sum_assignment(weighed)[1]
+    shown = reassign(misfit)
     found, seen = [], set[int]()
     for start in range(len(known)):
         cycle = [start]
-        while shown[cycle[-1]] != start and start not in seen:
+        while shown[cycle[-1]] != start:
             cycle.append(int(shown[cycle[-1]]))
-        if len(cycle) > 1:
-            seen |= set(cycle)
-            found.append(Exchange(tuple(int(known[i]) for i in cycle), _ratio(misfit, cycle)))
+        if len(cycle) < 2 or start in seen:
+            continue
+        seen |= set(cycle)
+        worst = max(float(misfit[i, shown[i]] / misfit[i, i]) for i in cycle)
+        if worst < ITSELF:
+            found.append(Exchange(tuple(int(known[i]) for i in cycle), _ratio(misfit, cycle), worst))
     return sorted(found, key=lambda exchange: exchange.ratio)
+
+
+def reassign(misfit: Array) -> Array:
+    """Which lamp each photograph shows, (L,), for the best agreement by misfits (L, L).
+
+    A lamp leaves its place only in a cycle that lowers the misfit to `SWAPPED` of what it was.
+    """
+    from scipy.optimize import linear_sum_assignment
+
+    weighed = misfit / (SWAPPED if len(misfit) >= FEW else SWAPPED_OF_FEW)
+    np.fill_diagonal(weighed, np.diag(misfit))
+    return np.asarray(linear_sum_assignment(weighed)[1])
 
 
 def _ratio(misfit: Array, cycle: list[int] | tuple[int, ...]) -> float:
@@ -128,7 +164,9 @@ def _which(lamps: tuple[int, ...], frames: Array, flats: Array, light: Array | N
     by_frames = _ratio(misfits(frames, light), lamps)
     # Where photograph i fits the flat listed under the next lamp, that flat shows lamp i.
     by_flats = _ratio(misfits(flats, light).T, lamps)
-    if not np.isfinite(by_frames * by_flats) or not min(by_frames, by_flats) < SURE * max(by_frames, by_flats):
+    if not np.isfinite(by_frames * by_flats) or not min(by_frames, by_flats) < SURE * max(
+        by_frames, by_flats
+    ):
         return "either"
     return "frames" if by_frames < by_flats else "flats"
 
@@ -138,7 +176,9 @@ def _exchanged(names: tuple[str, ...], tile: Tile, exchange: Exchange, which: st
     following = [*lamps[1:], lamps[0]]
     pairs = list(zip(lamps, following, strict=True))
     times = exchange.ratio**-0.5 if exchange.ratio > 0 else float("inf")
-    better = f"(so they agree {times:.1f} times better; photographs in their places agree best as they are listed)"
+    better = (
+        f"(so they agree {times:.1f} times better; photographs in their places agree best as they are listed)"
+    )
     correct = "correct the names of the files or their lamps in artwork.yaml"
     if which == "flats":
         shown = listed([f"{flat_name(tile, other)} shows the light of lamp {lamp}" for lamp, other in pairs])
@@ -151,7 +191,9 @@ def _exchanged(names: tuple[str, ...], tile: Tile, exchange: Exchange, which: st
         sentence = f"photographs or flats of lamps {listed(lamps)} are exchanged: {shown} {better}; {correct}"
     else:
         files = "photograph and flat" if which == "both" else "the photograph"
-        shown = listed([f"{files} of {lamp} ({frame_name(tile, lamp)}) show lamp {other}" for lamp, other in pairs])
+        shown = listed(
+            [f"{files} of {lamp} ({frame_name(tile, lamp)}) show lamp {other}" for lamp, other in pairs]
+        )
         sentence = (
             f"lamps {listed(lamps)} are listed in another order than they fired, or the stand's file exchanges their "
             f"positions: {shown} {better}; {correct}, or the stand's file"

@@ -69,8 +69,8 @@ def _of_lamps(
         found.append(
             CaptureWarning(
                 "exposure",
-                f"the flats were exposed otherwise than the photographs of the artwork: {flat_name(tile, first)} says "
-                f"{flats[first]}, {frame_name(tile, first)} (lamp {first}) {frames[first]}, a factor of "
+                f"the flats were exposed otherwise than the photographs of the artwork: {flat_name(tile, first)} "
+                f"says {flats[first]}, {frame_name(tile, first)} (lamp {first}) {frames[first]}, a factor of "
                 f"{usual_factor:.2f}, where the same exposure is usual; photograph both with the same exposure, or "
                 "divide white_reflectance by that factor; normals and heights do not suffer, albedo does",
                 (),
@@ -90,8 +90,8 @@ def _of_lamps(
         found.append(
             CaptureWarning(
                 "exposure",
-                f"{own}, a factor of {noted:.2f} against the other lamps, where the same exposure is usual; photograph "
-                "it again with the exposure of the others",
+                f"{own}, a factor of {noted:.2f} against the other lamps, where the same exposure is usual; "
+                "photograph it again with the exposure of the others",
                 (lamp,),
                 noted,
                 "times the others' exposure",

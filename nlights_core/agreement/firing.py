@@ -52,7 +52,9 @@ def find_unlit(samples: Samples, tile: Tile) -> list[CaptureWarning]:
     shares = np.where(lit, _levels(ratios, lit), _levels(frames))
     for lamp, level, share in zip(samples.lamps, levels, shares, strict=True):
         if level < LEAST_LEVEL:
-            found.append(_told(f"{tile.flats[lamp].parent.name}/{tile.flats[lamp].name}", lamp, level, LEAST_LEVEL))
+            found.append(
+                _told(f"{tile.flats[lamp].parent.name}/{tile.flats[lamp].name}", lamp, level, LEAST_LEVEL)
+            )
         if share < LEAST_RATIO:
             found.append(_told(tile.frames[lamp].name, lamp, share, LEAST_RATIO))
     return found

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from nlights_core.agreement.coarse_light import CoarseLight, centred
+from nlights_core.agreement.coarse_light import LEAST_CELLS, CoarseLight, centred, known_medians
 from nlights_core.agreement.samples import Samples
 from nlights_core.agreement.wording import listed
 from nlights_core.capture import Tile
@@ -30,6 +30,9 @@ and aims take.  Sound captures reach 0.85 to 1.05; sRGB, gamma 1.8 and 2.2, and 
 
 SLOPES_OF_FRAMES = (0.8, 1.25)
 """The same of photographs on flats, where no lamp need be known.  Sound captures reach 0.94 to 1.07."""
+
+LEAST_LAMPS = 4
+"""Fewer tell nothing by what they differ in."""
 
 CERTAIN = 3.0
 """How many standard deviations a slope must be beyond its limit."""
@@ -62,8 +65,8 @@ def find_tone_curve(samples: Samples, cells: CoarseLight, tile: Tile) -> list[Ca
         Of one at most.
     """
     remedy = (
-        "export linear photographs (no tone curve, gamma 1), or state the curve in encoding.transfer in artwork.yaml; "
-        "positions of lamps and the stand are not in doubt before that is mended"
+        "export linear photographs (no tone curve, gamma 1), or state the curve in encoding.transfer in "
+        "artwork.yaml; positions of lamps and the stand are not in doubt before that is mended"
     )
     read = readings_of_flats(samples, cells.lamps, tile)
     if read is not None:
@@ -73,7 +76,7 @@ def find_tone_curve(samples: Samples, cells: CoarseLight, tile: Tile) -> list[Ca
                 CaptureWarning(
                     "tone-curve",
                     f"the numbers in the flats (lamps {listed(cells.lamps)}) follow a tone curve: they vary over the "
-                    f"field as computed light to the power of {slope:.2f}, where linear photographs give 0.85 to 1.05; "
+                    f"field as computed light to the power of {slope:.2f}, where linear ones give 0.85 to 1.05; "
                     f"{remedy}",
                     (),
                     slope,
@@ -145,7 +148,9 @@ def slope_on_computed_light(data: Readings) -> tuple[float, float]:
         trust *= min(1.0, INDEPENDENT / samples) / spread**2
         columns = differentiate_readings(lamps, data, now, FREE)
         columns[..., 1:] *= shared[3]
-        everyone = np.concatenate([np.broadcast_to(shared[3] * lens, (count, samples, 3)), shape[..., None]], -1)
+        everyone = np.concatenate(
+            [np.broadcast_to(shared[3] * lens, (count, samples, 3)), shape[..., None]], -1
+        )
         matrix, right = normal_equations(columns, everyone, trust, residual)
         state = np.concatenate([lamps[:, FREE].ravel(), shared])
         information = matrix + np.diag(deviations**-2)
@@ -187,21 +192,20 @@ def slope_on_flats(frames: Array, flats: Array) -> tuple[float, float]:
     """
     seen, light = (centred(one).reshape(len(one), -1) for one in (frames, flats))
     known = np.isfinite(seen) & np.isfinite(light)
-    if known.sum() < 100 or np.std(light[known]) < LEAST_RANGE:
+    if len(seen) < LEAST_LAMPS or known.sum(axis=1).min() < LEAST_CELLS or np.std(light[known]) < LEAST_RANGE:
         return float("nan"), float("nan")
-    lamp, at, y = np.nonzero(known)[0], light[known], seen[known]
-    trust, slope, deviation = np.ones(len(y)), 1.0, float("inf")
+    light, seen, trust = np.where(known, light, 0), np.where(known, seen, 0), known.astype(np.float64)
+    slopes = np.ones((len(seen), 1))
     for _ in range(ROUNDS):
-        weights = np.maximum(np.bincount(lamp, trust, len(seen)), 1e-9)
-        x0 = at - (np.bincount(lamp, trust * at, len(seen)) / weights)[lamp]
-        y0 = y - (np.bincount(lamp, trust * y, len(seen)) / weights)[lamp]
-        slope = float(np.sum(trust * x0 * y0) / np.sum(trust * x0**2))
-        residual = y0 - slope * x0
-        spread = max(1e-3, float(np.median(np.abs(residual))) / 0.6745)
-        # Neighbours share what is not explained: as if a lamp had a tenth as many cells.
-        deviation = float(np.sqrt(10 * spread**2 / np.sum(trust * x0**2)))
-        trust = 1 / (1 + (residual / (TUNING * spread)) ** 2)
-    return slope, deviation
+        weight = trust.sum(axis=1, keepdims=True)
+        x, y = (one - np.sum(trust * one, axis=1, keepdims=True) / weight for one in (light, seen))
+        slopes = np.sum(trust * x * y, axis=1, keepdims=True) / np.sum(trust * x * x, axis=1, keepdims=True)
+        residual = y - slopes * x
+        spread = np.maximum(1e-3, known_medians(np.where(known, np.abs(residual), np.nan))[:, None] / 0.6745)
+        trust = known / (1 + (residual / (TUNING * spread)) ** 2)
+    # By lamps: a single odd photograph changes neither the median nor how much the others differ.
+    slope = float(np.median(slopes))
+    return slope, float(1.4826 * np.median(np.abs(slopes - slope)) / np.sqrt(len(slopes)))
 
 
 def _beyond(slope: float, deviation: float, limits: tuple[float, float]) -> bool:

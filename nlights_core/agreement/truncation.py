@@ -38,7 +38,9 @@ def find_truncated(samples: Samples, tile: Tile) -> list[CaptureWarning]:
         One for each file, with its lamp; the dark frame has none.
     """
     rows, found = samples.rows, []
-    brightest = np.max([light.max(axis=0) for light in (rows.frames, rows.flats) if light is not None], axis=0)
+    brightest = np.max(
+        [light.max(axis=0) for light in (rows.frames, rows.flats) if light is not None], axis=0
+    )
     for paths, light in ((tile.frames, rows.frames), (tile.flats, rows.flats)):
         if paths is None or light is None:
             continue

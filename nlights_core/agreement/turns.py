@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from nlights_core.agreement.coarse_light import CoarseLight, known_medians, variance
+from nlights_core.agreement.coarse_light import CoarseLight, centred, known_medians, misfits, variance
+from nlights_core.agreement.exchanges import SWAPPED, reassign
 from nlights_core.agreement.wording import flat_name, frame_name
 from nlights_core.capture import Tile
 from nlights_core.capture_warnings import CaptureWarning
@@ -12,6 +13,8 @@ from nlights_core.frames import Array
 
 ACROSS = 80
 """About how many cells a photograph is wide: patterns of the artwork tell as well as light."""
+
+ARTWORK = "photographs of the artwork"
 
 LEAST_LAMPS = 4
 """The others tell what a photograph should show: of two others none is the odd one."""
@@ -32,6 +35,95 @@ WAYS = {
     "mirrored top to bottom": (slice(None, None, -1), slice(None)),
 }
 """What a camera's or a converter's tag of orientation does to pictures that keep their shape: rows, columns."""
+
+
+def find_turned_together(cells: CoarseLight, tile: Tile) -> list[CaptureWarning]:
+    """Look for a whole set of photographs that is turned or mirrored against the flats, or both against the stand.
+
+    Parameters
+    ----------
+    cells : CoarseLight
+        Of lamps that fired.
+    tile : Tile
+
+    Returns
+    -------
+    list of CaptureWarning
+        Of one at most, with all lamps.
+    """
+    if len(cells.lamps) < LEAST_LAMPS:
+        return []
+    frames = centred(cells.frames)
+    flats = None if cells.flats is None else centred(cells.flats)
+    light = None if cells.computed is None else centred(cells.computed)
+    if flats is not None:
+        way, ratio, exchanged = _way_of_all(((frames, flats),))
+        if ratio < TURNED:
+            subject, against = _odd_set(frames, flats, light)
+            return [_turned_together(cells.lamps, subject, against, way, ratio, exchanged)]
+    if light is None:
+        return []
+    pairs = ((frames, light),) if flats is None else ((frames, light), (flats, light))
+    way, ratio, exchanged = _way_of_all(pairs)
+    if ratio < TURNED:
+        subject = f"{ARTWORK}{' and flats' if flats is not None else ''}"
+        return [_turned_together(cells.lamps, subject, "the stand", way, ratio, exchanged)]
+    return []
+
+
+def _way_of_all(pairs: tuple[tuple[Array, Array], ...]) -> tuple[str, float, bool]:
+    """Way in which all pictures, turned, fit their partners best, and the ratio of the misfits.
+
+    Returns
+    -------
+    way : str
+    ratio : float
+        Infinite where lamps in another order explain it better.
+    exchanged : bool
+        Whether lamps in another order explain it as well.
+    """
+
+    def apart(place: tuple[slice, ...]) -> Array:
+        # Of several pairs the geometric mean: what fits badly anyway must not decide.
+        logs = [np.log(misfits(first[(slice(None), *place)], second)) for first, second in pairs]
+        return np.asarray(np.exp(np.mean(logs, axis=0)))
+
+    listed = apart((slice(None), slice(None)))
+    as_is = np.diag(listed)
+    if not np.isfinite(listed).all():
+        return "", float("inf"), False
+    turned = {way: np.diag(apart(place)) for way, place in WAYS.items()}
+    way = min(turned, key=lambda way: float(np.nan_to_num(turned[way].sum(), nan=np.inf)))
+    best = turned[way]
+    exchanged = listed[np.arange(len(listed)), reassign(listed)].sum()
+    if exchanged < SWAPPED * best.sum() or not np.mean(best < as_is) > 0.7:
+        return way, float("inf"), False
+    return way, float(best.sum() / as_is.sum()), bool(SWAPPED * exchanged < best.sum())
+
+
+def _odd_set(frames: Array, flats: Array, light: Array | None) -> tuple[str, str]:
+    """Which set is turned against which, by the light computed from the stand."""
+    if light is not None:
+        by_frames, by_flats = (float(np.diag(misfits(one, light)).sum()) for one in (frames, flats))
+        if min(by_frames, by_flats) < EITHER * max(by_frames, by_flats):
+            return (ARTWORK, "the flats") if by_frames > by_flats else ("flats", f"the {ARTWORK}")
+    return f"{ARTWORK}, or else all flats,", "the others"
+
+
+def _turned_together(
+    lamps: tuple[str, ...], subject: str, against: str, way: str, ratio: float, exchanged: bool
+) -> CaptureWarning:
+    times = ratio**-0.5
+    instead = " (or the lamps are listed in another order than they fired)" if exchanged else ""
+    return CaptureWarning(
+        "turned",
+        f"all {subject} are {way} against {against}{instead}: turned back they agree {times:.1f} times better, "
+        "where photographs the right way round agree best as they are; export them again with the top of the field "
+        "at the top, or correct the axes in the stand's file",
+        lamps,
+        times,
+        "times better agreement",
+    )
 
 
 def find_turned(cells: CoarseLight, tile: Tile) -> list[CaptureWarning]:
@@ -76,7 +168,8 @@ def _best_way(cells: CoarseLight, i: int, others: Array, light: Array, own: floa
         return way, best, "frame"
     flat = cells.flats[i]
     flats_turned = {
-        way: float(_variances(frame - others - (light - flat + flat[place])) / own) for way, place in WAYS.items()
+        way: float(_variances(frame - others - (light - flat + flat[place])) / own)
+        for way, place in WAYS.items()
     }
     way_of_flat = min(flats_turned, key=lambda way: float(np.nan_to_num(flats_turned[way], nan=np.inf)))
     best_of_flat = flats_turned[way_of_flat]
