@@ -4,7 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from nlights_core.agreement.coarse_light import CoarseLight, centred, known_medians, misfits, variance
+from nlights_core.agreement.coarse_light import (
+    LEAST_CELLS,
+    CoarseLight,
+    centred,
+    known_medians,
+    misfits,
+    variance,
+)
 from nlights_core.agreement.exchanges import SWAPPED, reassign
 from nlights_core.agreement.wording import flat_name, frame_name
 from nlights_core.capture import Tile
@@ -28,6 +35,16 @@ STRANGE = 4.0
 
 EITHER = 0.7
 """Ratio of misfits below which it is told from the picture alone whether the photograph or the flat was turned."""
+
+PATTERN = 0.5
+"""Correlation of fine patterns, turned, that is asked for where no flat tells the light: on a sphere, light from the
+left looks like light from the right mirrored.  Photographs of one artwork correlate by 0.7 to 1."""
+
+NO_PATTERN = 0.25
+"""Correlation as it is that a turned photograph stays below."""
+
+FINE = 5
+"""Cells over which a pattern is fine."""
 
 WAYS = {
     "turned by 180 degrees": (slice(None, None, -1), slice(None, None, -1)),
@@ -153,7 +170,7 @@ def find_turned(cells: CoarseLight, tile: Tile) -> list[CaptureWarning]:
         if not own[i] > STRANGE * usual:
             continue
         way, ratio, kind = _best_way(cells, i, others[i], light[i], own[i])
-        if ratio < TURNED:
+        if ratio < TURNED and (cells.flats is not None or _pattern_is_turned(frames[i], others[i], way)):
             found.append(_turned(tile, lamp, way, kind, ratio))
     return found
 
@@ -185,6 +202,29 @@ def _best_way(cells: CoarseLight, i: int, others: Array, light: Array, own: floa
         if min(by_frame, by_flat) < EITHER * max(by_frame, by_flat):
             kind = "frame" if by_frame > by_flat else "flat"
     return (way_of_flat, best_of_flat, kind) if kind == "flat" else (way, best, kind)
+
+
+def _pattern_is_turned(frame: Array, others: Array, way: str) -> bool:
+    """Test whether the fine pattern of a photograph is that of the others turned, whatever the light."""
+    wanted, as_is, turned = (_fine(one) for one in (others, frame, frame[WAYS[way]]))
+    return _correlation(turned, wanted) > PATTERN and _correlation(as_is, wanted) < NO_PATTERN
+
+
+def _fine(light: Array) -> Array:
+    """Light (h, w) less its mean over `FINE` cells each way; NaN where not known."""
+    from scipy.ndimage import uniform_filter
+
+    known = np.isfinite(light)
+    share = np.maximum(uniform_filter(known.astype(np.float64), FINE), 1e-9)
+    return np.asarray(light - uniform_filter(np.where(known, light, 0), FINE) / share)
+
+
+def _correlation(first: Array, second: Array) -> float:
+    """Correlation of what both know; 0 where that is too little."""
+    known = np.isfinite(first) & np.isfinite(second)
+    if known.sum() < LEAST_CELLS or not (np.std(first[known]) > 0 and np.std(second[known]) > 0):
+        return 0.0
+    return float(np.corrcoef(first[known], second[known])[0, 1])
 
 
 def _medians_of_others(light: Array) -> Array:
