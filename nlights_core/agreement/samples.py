@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,6 +20,24 @@ ACROSS = 240
 
 ROWS = 4
 """About how many rows of each block are read: their mean is good enough."""
+
+NOTHING = 1e-6
+"""Mean light of a row, as a share of saturation, that is taken for none: one of 15 numbers of 16 bits is 1, not 0."""
+
+
+class Rows(NamedTuple):
+    """Mean grey light of rows of the files before the dark frame, mask or not; 0 where every number is.
+
+    Attributes
+    ----------
+    frames : (L, h) float64 array
+    flats : (L, h) float64 array or None
+    dark : (h,) float64 array or None
+    """
+
+    frames: Array
+    flats: Array | None
+    dark: Array | None
 
 
 @dataclass(frozen=True)
@@ -41,6 +60,8 @@ class Samples:
         Where the blocks are on the plane.
     block : int
         Edge of a block, px of the photographs.
+    rows : Rows
+        Of each row of blocks, what the files hold.
     """
 
     lamps: tuple[str, ...]
@@ -50,6 +71,7 @@ class Samples:
     inside: Array
     grid: PixelGrid
     block: int
+    rows: Rows
 
 
 def sample_photographs(
@@ -84,6 +106,7 @@ def sample_photographs(
         grid = room.grid
         dark = _reduced_dark(room.dark, block, frames.inside.shape)
     small = None
+    black = np.zeros(len(frames.inside)) if dark is None else dark.mean(axis=1, dtype=np.float64)
     if with_flats:
         with darkroom(tile, scratch, flats=True) as room:
             small = average_blocks(room, block, ROWS, lambda done: progress(0.5 + 0.5 * done))
@@ -96,6 +119,11 @@ def sample_photographs(
         inside=frames.inside,
         grid=PixelGrid(rows, columns, grid.pixel_size * block, grid.camera, grid.unit),
         block=block,
+        rows=Rows(
+            _row_means(frames, black),
+            None if small is None else _row_means(small, black),
+            None if dark is None else _zeroed(black),
+        ),
     )
 
 
@@ -104,6 +132,16 @@ def _known(means: BlockMeans) -> Array:
     light = grey(means.images)
     light[means.saturated | ~means.inside] = np.nan
     return light
+
+
+def _row_means(means: BlockMeans, black: Array) -> Array:
+    """Mean light of each row of blocks before the dark frame, (L, h)."""
+    return _zeroed(grey(means.images).mean(axis=2, dtype=np.float64) + black)
+
+
+def _zeroed(light: Array) -> Array:
+    """Light that is nothing but rounding made 0."""
+    return np.where(light < NOTHING, 0.0, light)
 
 
 def _reduced_dark(dark: Photograph | None, block: int, shape: tuple[int, int]) -> Array | None:
