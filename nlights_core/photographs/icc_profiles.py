@@ -151,7 +151,7 @@ def _name(profile: bytes) -> str:
 
 
 @lru_cache(maxsize=16)
-def linear_profile(profile: bytes) -> bytes | None:
+def linear_profile(profile: bytes, channels: int) -> bytes | None:
     """Profile of the same colours for linear light: its curves are straight lines.
 
     What is left of a photograph when its curve is undone would be shown wrongly by the profile that
@@ -161,16 +161,20 @@ def linear_profile(profile: bytes) -> bytes | None:
     ----------
     profile : bytes
         What a photograph embeds.
+    channels : int
+        Of the images that shall embed it.
 
     Returns
     -------
     bytes or None
         The very same where its curves are straight already; None where it states no curves, for then
-        nobody can say what it makes of linear light.
+        nobody can say what it makes of linear light, and where it is for grey and the images are not.
     """
     try:
         found = parse_profile(profile)
     except ProfileError:
+        return None
+    if found.grey and channels != 1:
         return None
     if all(kind == "formula" and set(numbers) == {1.0} for kind, numbers in found.curves):
         return profile

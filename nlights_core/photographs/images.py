@@ -127,13 +127,14 @@ class Photograph:
         """The photograph's header; raises `TileError` as `probe` does."""
         decoder = self._open()
         cell = 2 if self._mosaic else 1
+        channels = 3 if self._mosaic else decoder.channels
         return ImageInfo(
             rows=decoder.rows // cell,
             columns=decoder.columns // cell,
-            channels=3 if self._mosaic else decoder.channels,
+            channels=channels,
             dtype=decoder.dtype,
             saturation=_saturation(self.path, decoder.dtype, self.encoding),
-            icc=decoder.icc and linear_profile(decoder.icc),
+            icc=decoder.icc and linear_profile(decoder.icc, channels),
             curve=self._curve,
             pages=decoder.pages,
         )

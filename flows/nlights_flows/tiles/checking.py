@@ -77,8 +77,14 @@ def check_tile(tile: Tile, recipe: Recipe, progress: Callable[[float], None]) ->
     finding = Finding(tile.name)
     finding.problems += recipe.lacking(tile)
     finding.warnings += _told(page_warnings, tile)
+    curves = _told(_curves, tile)
+    for curve in curves:
+        finding.notes.append(
+            f"the tone curve of {curve} is undone; if the numbers are linear nevertheless, state encoding: "
+            "{transfer: linear}"
+        )
     jpeg = [path.name for path in tile.frames.values() if path.suffix.lower() in (".jpg", ".jpeg")]
-    if jpeg and tile.encoding.transfer is None and not _told(_has_curve, tile):
+    if jpeg and tile.encoding.transfer is None and not curves:
         finding.notes.append(
             f"{jpeg[0]}: a JPEG without a profile is taken as linear light, which few are; state encoding: "
             "{transfer: srgb} (or linear) in the manifest"
@@ -105,9 +111,10 @@ def _told(look: Callable[[Tile], list[Any]], tile: Tile) -> list[Any]:
         return []
 
 
-def _has_curve(tile: Tile) -> list[Any]:
-    """The tone curve that the frames state, if any."""
-    return [curve for curve in [survey(tile).curve] if curve]
+def _curves(tile: Tile) -> list[str]:
+    """Name of the tone curve that the photographs' profile states, if the capture leaves it to that."""
+    curve = survey(tile).curve
+    return [curve.name] if curve and tile.encoding.transfer in (None, "icc") else []
 
 
 def _read(
