@@ -123,7 +123,7 @@ def page_warnings(tile: Tile) -> list[CaptureWarning]:
                 found.setdefault(pages, []).append((lamp, path))
     warnings = []
     for pages, files in found.items():
-        more = f" (and {len(files) - 1} files more)" if len(files) > 1 else ""
+        more = f" and {len(files) - 1} more" if len(files) > 1 else ""
         names = f"{', '.join(pages[1:4])}{' and more' if len(pages) > 4 else ''}"
         named = tuple(dict.fromkeys(lamp for lamp, _ in files if lamp))
         warnings.append(

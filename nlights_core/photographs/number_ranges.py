@@ -16,6 +16,9 @@ from nlights_core.photographs.images import Photograph
 ROWS = 64
 """Rows of a photograph that are looked at, evenly spread."""
 
+COLUMNS = 4000
+"""Columns of it, about, at the most."""
+
 CLIPPED = 1e-3
 """Share of the pixels that hold the very same largest number before it is told."""
 
@@ -91,17 +94,21 @@ def _sample(photograph: Photograph) -> Array:
     """Numbers of some rows of a photograph as its file has them, (n, C)."""
     rows, columns, channels = photograph.stored_shape
     count = min(ROWS, rows)
-    out = np.empty((count, columns, channels), photograph.info.dtype)
-    for i, row in enumerate(np.linspace(0, rows - 1, count).astype(int)):
-        photograph.numbers(int(row), int(row) + 1, out[i : i + 1])
-    return out.reshape(-1, channels)
+    # Odd, so that every colour of a mosaic is among them.
+    step = columns // COLUMNS // 2 * 2 + 1
+    line = np.empty((1, columns, channels), photograph.info.dtype)
+    out = []
+    for row in np.linspace(0, rows - 1, count).astype(int):
+        photograph.numbers(int(row), int(row) + 1, line)
+        out.append(line[0, ::step].copy())
+    return np.concatenate(out)
 
 
 def _clipped(numbers: Array, level: float) -> list[_Seen]:
     """The number at which most pixels of a channel are crowded together, below the level."""
     found: list[_Seen] = []
     for channel in range(numbers.shape[1]):
-        values, counts = np.unique(numbers[:, channel], return_counts=True)
+        values, counts = _counted(numbers[:, channel])
         share = counts[-1] / len(numbers)
         if values[-1] >= level or share < CLIPPED or len(values) < VARIED:
             continue
@@ -109,6 +116,15 @@ def _clipped(numbers: Array, level: float) -> list[_Seen]:
             number = float(values[-1])
             found.append(_Seen("range" if _is_whole_range(number) else "clipped", number, float(share)))
     return sorted(found, key=lambda one: -one.share)[:1]
+
+
+def _counted(numbers: Array) -> tuple[Array, Array]:
+    """Numbers that occur, from the smallest, and how often."""
+    if numbers.dtype.kind == "u" and numbers.dtype.itemsize <= 2:
+        counts = np.bincount(numbers)
+        values = np.flatnonzero(counts)
+        return values, counts[values]
+    return np.unique(numbers, return_counts=True)
 
 
 def _is_whole_range(number: float) -> bool:
