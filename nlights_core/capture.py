@@ -2,19 +2,38 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from nlights_core.stands import Positive, Record, Stand
+
+GAMMAS = (0.2, 5.0)
+"""Smallest and largest exponent that is believed to be a tone curve's."""
+
+
+def _transfer(text: str) -> str:
+    """A tone curve's name as it should be written."""
+    gamma = re.fullmatch(r"gamma ?(\d+(?:\.\d+)?)", text)
+    if gamma and GAMMAS[0] <= float(gamma.group(1)) <= GAMMAS[1]:
+        return f"gamma {float(gamma.group(1)):g}"
+    if text in ("icc", "linear", "srgb", "L*"):
+        return text
+    raise ValueError(
+        f"should be icc, linear, srgb, L* or gamma and a number from {GAMMAS[0]:g} to {GAMMAS[1]:g} "
+        f"(gamma 2.2); got {text!r}"
+    )
 
 
 class Encoding(Record):
     """Relation of the numbers in the photographs to light."""
 
-    transfer: Literal["linear", "srgb"] = Field(
-        default="linear", description="tone curve of the files: linear light, or sRGB to be undone"
+    transfer: Annotated[str, AfterValidator(_transfer)] | None = Field(
+        default=None,
+        description="tone curve of the files, which is undone: icc (that of the embedded profile), linear, "
+        "srgb, gamma and a number, or L*; absent: that of the embedded profile where there is one, else linear",
     )
     mosaic: Literal["RGGB", "BGGR", "GRBG", "GBRG"] | None = Field(
         default=None,
@@ -47,7 +66,7 @@ class Sphere(Record):
     points_px: tuple[tuple[float, float], ...] | None = Field(
         default=None, description="points clicked on the outline: column, row; px"
     )
-    mask: Path | None = Field(default=None, description="image that is not 0 on the sphere")
+    mask: Path | None = Field(default=None, description="image that is white on the sphere")
     outline: Path | None = Field(
         default=None, description="photograph in even light that shows the sphere's outline well"
     )
@@ -76,7 +95,7 @@ class Tile(Record):
     frames: dict[str, Path] = Field(description="one photograph per lamp")
     flats: dict[str, Path] | None = Field(default=None, description="photographs of a flat, per lamp")
     dark: Path | None = None
-    mask: Path | None = Field(default=None, description="image that is not 0 on the artwork")
+    mask: Path | None = Field(default=None, description="image that is white on the artwork")
     spheres: tuple[Sphere, ...] = ()
     lights: GivenLights | None = None
     encoding: Encoding = Encoding()

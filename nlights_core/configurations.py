@@ -10,6 +10,7 @@ import yaml
 from pydantic import BaseModel, ValidationError
 
 from nlights_core.errors import NlightsError, StandError
+from nlights_core.machine.regular_files import irregular_kind
 from nlights_core.stands import Stand
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -103,6 +104,8 @@ class Source:
     def __init__(self, path: Path, error: type[NlightsError]) -> None:
         self.path, self.error = path, error
         try:
+            if kind := irregular_kind(path):
+                raise error(f"{path}: {kind}, where a file is expected; name the file itself")
             if path.stat().st_size > LARGEST:
                 raise error(f"{path}: larger than {LARGEST >> 20} MiB, which no file of this kind is")
             text = path.read_text(encoding="utf-8")

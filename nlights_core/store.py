@@ -29,6 +29,7 @@ from nlights_core import __version__
 from nlights_core.algorithms import Algorithm
 from nlights_core.errors import CaptureError, TileError
 from nlights_core.machine.progress import Progress
+from nlights_core.machine.regular_files import irregular_kind
 from nlights_core.machine.sources import EVERYTHING_RESTS_ON, digests_of_places
 from nlights_core.registry import code_digest, installed, is_bundled
 
@@ -198,6 +199,10 @@ class Store:
                 ) from fault
 
     def _digest(self, path: Path, stopped: Callable[[], bool]) -> str:
+        if kind := irregular_kind(path):
+            raise TileError(
+                f"{path}: {kind}, where a file is expected; put the file itself there or correct its name"
+            )
         status = path.stat()
         memory = self.root / ".digests" / hashlib.sha256(str(path).encode()).hexdigest()[:32]
         stamp = f"{status.st_size} {status.st_mtime_ns} {status.st_ctime_ns} {status.st_ino}"

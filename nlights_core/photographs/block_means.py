@@ -12,6 +12,7 @@ from nlights_core.machine.band_threads import in_order
 from nlights_core.machine.kernel_switch import available
 from nlights_core.photographs.development import Darkroom, Exposure
 from nlights_core.photographs.images import Photograph, grey, is_saturated
+from nlights_core.photographs.masks import Mask
 
 
 class BlockMeans(NamedTuple):
@@ -61,7 +62,7 @@ def average_blocks(
     limited = bool(np.isfinite(room.info.saturation))
     inside = np.ones(shape, bool)
     if room.mask is not None:
-        inside = _means(room.mask, shape, block, rows, False)[0].max(axis=-1) > 0
+        inside = _any_inside(room.mask, shape, block, rows)
     lamps = list(room.photographs)
     images = np.empty((len(lamps), *shape, room.info.channels), np.float32)
     shares = np.empty((len(lamps), *shape), np.float32)
@@ -109,6 +110,17 @@ def _means(
         if limited:
             share[row] = is_saturated(light).mean(axis=0).reshape(shape[1], block).mean(axis=1)
     return mean, share
+
+
+def _any_inside(mask: Mask, shape: tuple[int, int], block: int, rows: int) -> Array:
+    """Where the mask has any pixel of a block, (h, w) bool, in as many rows of it as `_means` looks at."""
+    lines = min(rows, block)
+    inside = np.empty(shape, bool)
+    for row in range(shape[0]):
+        first = row * block + (block - lines) // 2
+        seen = mask.band(first, first + lines)[:, : shape[1] * block].any(axis=0)
+        inside[row] = seen.reshape(shape[1], block).any(axis=1)
+    return inside
 
 
 def _exposure(light: Array, saturated: Array) -> Exposure:

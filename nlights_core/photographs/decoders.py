@@ -10,9 +10,10 @@ import logging
 import os
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import imagecodecs
 import numpy as np
@@ -22,9 +23,16 @@ from PIL.ImageFile import ImageFile
 from PIL.JpegImagePlugin import JpegImageFile
 from PIL.PngImagePlugin import PngImageFile
 from PIL.TgaImagePlugin import TgaImageFile
+from PIL.TiffImagePlugin import TiffImageFile
 
 from nlights_core.errors import TileError
 from nlights_core.frames import Array
+from nlights_core.machine.regular_files import irregular_kind
+from nlights_core.photographs import camera_raws
+from nlights_core.photographs.tiff_pages import described, full_pages
+
+if TYPE_CHECKING:
+    import rawpy
 
 # tifffile logs what it mends silently; each such fault that could change a pixel is an error here.
 logging.getLogger("tifffile").setLevel(logging.CRITICAL)
@@ -71,6 +79,8 @@ class Decoder:
     fill : callable or None
         ``fill(start, stop, out)`` reads rows right into a contiguous array (stop - start, columns,
         channels) of ``dtype``, where the file holds them so.
+    pages : tuple of str
+        Of a TIFF with several full pages, what each is; the one that is read first.
     """
 
     rows: int
@@ -82,6 +92,7 @@ class Decoder:
     decode: Callable[[int, int], Array]
     close: Callable[[], None] = lambda: None
     fill: Callable[[int, int, Array], None] | None = None
+    pages: tuple[str, ...] = ()
 
 
 @contextmanager
@@ -113,7 +124,7 @@ def is_raw(path: Path) -> bool:
     return path.suffix.lower() in RAW_EXTENSIONS
 
 
-def open_decoder(path: Path) -> Decoder:
+def open_decoder(path: Path, mask: bool = False) -> Decoder:
     """Read a photograph's header and prepare to decode its rows.
 
     The format is told by the first bytes, except camera raw and TGA, which have no mark of
@@ -123,6 +134,9 @@ def open_decoder(path: Path) -> Decoder:
     ----------
     path : Path
         TIFF, PNG, JPEG, BMP, TGA or camera raw.
+    mask : bool
+        The file is a mask: alpha is a channel like any other, the last one, and a TIFF may be of 1 bit or of
+        palette colours.
 
     Returns
     -------
@@ -136,14 +150,14 @@ def open_decoder(path: Path) -> Decoder:
     """
     if not path.exists():
         raise TileError(f"{path}: no such file; correct the path in the capture's manifest or restore it")
-    if not path.is_file():
-        raise TileError(f"{path}: a folder, where a photograph is expected; name the file itself")
+    if kind := irregular_kind(path):
+        raise TileError(f"{path}: {kind}, where a photograph is expected; name the file itself")
     with path.open("rb") as file:
         start = file.read(8)
     if not start:
         raise TileError(f"{path}: empty, 0 bytes; copy it again from the camera or export it anew")
     with explain_damage(path), ExitStack() as undo:
-        decoder = _decoder_for(start, path)(path)
+        decoder = _decoder_for(start, path, mask)(path)
         undo.callback(decoder.close)
         if not 0 < decoder.rows * decoder.columns <= MOST_PIXELS:
             raise TileError(
@@ -154,33 +168,36 @@ def open_decoder(path: Path) -> Decoder:
     return decoder
 
 
-def _decoder_for(start: bytes, path: Path) -> Callable[[Path], Decoder]:
+def _decoder_for(start: bytes, path: Path, mask: bool) -> Callable[[Path], Decoder]:
     """Choose the format from a file's first 8 bytes, or from its name."""
     if is_raw(path):
         return _open_raw
     if start[:4] in _TIFF_STARTS:
-        return _open_tiff
+        return partial(_open_tiff, mask=mask)
     if start == _PNG_START:
-        return _open_png
+        return partial(_open_png, alpha=mask)
     if start[:2] == b"\xff\xd8":
-        return partial(_open_with_pillow, JpegImageFile)
+        return partial(_open_with_pillow, JpegImageFile, alpha=mask)
     if start[:2] == b"BM":
-        return partial(_open_with_pillow, BmpImageFile)
+        return partial(_open_with_pillow, BmpImageFile, alpha=mask)
     if path.suffix.lower() == ".tga":
-        return partial(_open_with_pillow, TgaImageFile)
+        return partial(_open_with_pillow, TgaImageFile, alpha=mask)
     raise TileError(
         f"{path}: starts with {start[:4]!r}, which is no image format that is read; export it as TIFF "
         "(or PNG, JPEG, BMP, TGA), or give the camera's raw file its own extension, such as .dng"
     )
 
 
-def _open_tiff(path: Path) -> Decoder:
-    """Open the first page of a TIFF or BigTIFF."""
+def _open_tiff(path: Path, mask: bool) -> Decoder:
+    """Open the photograph in a TIFF or BigTIFF; see `nlights_core.photographs.tiff_pages`."""
     with ExitStack() as undo:
         file = tifffile.TiffFile(path)
         undo.callback(file.close)
-        page = file.pages.first
-        channels = _tiff_channels(path, page)
+        pages = full_pages(file)
+        page = pages[0][1]
+        if mask and not page.is_subifd and (page.bitspersample == 1 or page.photometric in (0, 3)):
+            return _open_bits(path, page)
+        channels = _tiff_channels(path, page, mask)
         _check_segments(path, page, file.filehandle.size)
         assert page.dtype is not None
         number = page.dtype.newbyteorder("=") if page.dtype.kind == "u" else np.dtype(np.float32)
@@ -200,8 +217,18 @@ def _open_tiff(path: Path) -> Decoder:
             decode=partial(rows, path, page, channels, number),
             close=file.close,
             fill=partial(_fill_rows, page) if as_it_is else None,
+            pages=described(pages),
         )
         undo.pop_all()
+    return decoder
+
+
+def _open_bits(path: Path, page: tifffile.TiffPage) -> Decoder:
+    """Open a mask of bits, palette colours or white-is-zero; Pillow makes of them what they mean, fax codes too."""
+    decoder = _open_with_pillow(TiffImageFile, path, alpha=True, page=page.index)
+    if page.bitspersample == 1 and page.photometric == 0 and page.software.startswith("tifffile"):
+        # Python's tifffile says white-is-zero of every array of truth values, and nobody who writes one means it.
+        return replace(decoder, decode=lambda start, stop: 255 - decoder.decode(start, stop))
     return decoder
 
 
@@ -212,14 +239,14 @@ def _fill_rows(page: tifffile.TiffPage, start: int, stop: int, out: Array) -> No
     _read_whole(page.parent.filehandle.fileno(), out[: stop - start].reshape(-1).view(np.uint8), place)
 
 
-def _tiff_channels(path: Path, page: tifffile.TiffPage) -> int:
-    """1 or 3, for what can be measured; other contents are refused by name."""
+def _tiff_channels(path: Path, page: tifffile.TiffPage, mask: bool = False) -> int:
+    """1 or 3, for what can be measured, and alpha where it is wanted; other contents are refused by name."""
     samples, bits, dtype = page.samplesperpixel, page.bitspersample, page.dtype
     coding = tifffile.PHOTOMETRIC(page.photometric)
     # YCbCr is what a JPEG inside the TIFF says of itself; it is decoded to RGB.
     colour = coding.name == "RGB" or (coding.name == "YCBCR" and page.compression == 7)
-    alpha = samples in (2, 4) and (colour or page.extrasamples[-1:] in ((1,), (2,)))
-    channels = samples - alpha
+    alpha = samples in (2, 4) and (colour or mask or page.extrasamples[-1:] in ((1,), (2,)))
+    channels: int = samples - alpha
     found = None
     if dtype is None or f"{dtype.kind}{dtype.itemsize}" not in ("u1", "u2", "u4", "f2", "f4", "f8"):
         kind = "of no known type" if dtype is None else f"of type {dtype.name}"
@@ -231,10 +258,10 @@ def _tiff_channels(path: Path, page: tifffile.TiffPage) -> int:
     elif channels not in ((3,) if colour else (1, 3)):
         found = f"it has {samples} channels"
     elif page.imagedepth != 1:
-        found = f"its first page is a volume of {page.imagedepth} slices"
+        found = f"its page is a volume of {page.imagedepth} slices"
     if found:
         raise TileError(f"{path}: {found}, which cannot be measured; {_TIFF_ADVICE}")
-    return channels
+    return samples if mask else channels
 
 
 def _check_segments(path: Path, page: tifffile.TiffPage, size: int) -> None:
@@ -315,14 +342,16 @@ def _decoded_rows(
     return numbers
 
 
-def _open_png(path: Path) -> Decoder:
+def _open_png(path: Path, alpha: bool) -> Decoder:
     """Open a PNG; Pillow reads its header only, because it would cut 16-bit colours to 8."""
     with PngImageFile(path) as image:
         columns, rows = image.size
-        icc = image.info.get("icc_profile")
+        icc, clear = image.info.get("icc_profile"), "transparency" in image.info
     with path.open("rb") as file:
         bits, colour_type = file.read(26)[24:]
     channels = 1 if colour_type in (0, 4) else 3
+    if alpha:
+        channels += colour_type in (4, 6) or clear
 
     def decode(start: int, stop: int) -> Array:
         numbers: Array = imagecodecs.png_decode(path.read_bytes())
@@ -332,28 +361,31 @@ def _open_png(path: Path) -> Decoder:
     return Decoder(rows, columns, channels, dtype, icc, step=rows, decode=decode)
 
 
-def _open_with_pillow(opener: Callable[[Path], ImageFile], path: Path) -> Decoder:
-    """Open an 8-bit JPEG, BMP or TGA.
+def _open_with_pillow(opener: Callable[[Path], ImageFile], path: Path, alpha: bool, page: int = 0) -> Decoder:
+    """Open an 8-bit JPEG, BMP or TGA, or a page of a TIFF.
 
     The format's own class is called rather than `PIL.Image.open`, whose limit on the number of
     pixels is a global of the process and lies below a 100-megapixel camera.
     """
     with opener(path) as image:
+        image.seek(page)
         columns, rows = image.size
-        mode, icc = image.mode, image.info.get("icc_profile")
+        mode, icc, clear = image.mode, image.info.get("icc_profile"), "transparency" in image.info
     if mode not in ("1", "L", "LA", "P", "RGB", "RGBA"):
         raise TileError(f"{path}: its colours are coded as {mode}; export it as grey or RGB")
     target = "L" if mode in ("1", "L", "LA") else "RGB"
+    if alpha and (mode in ("LA", "RGBA") or clear):
+        target += "A"
 
     def decode(start: int, stop: int) -> Array:
         if opener is JpegImageFile:
             _check_jpeg_end(path)
         with opener(path) as image:
+            image.seek(page)
             numbers = np.asarray(image if mode == target else image.convert(target))
         return numbers.reshape(rows, columns, -1)[start:stop]
 
-    channels = 1 if target == "L" else 3
-    return Decoder(rows, columns, channels, np.dtype(np.uint8), icc, step=rows, decode=decode)
+    return Decoder(rows, columns, len(target), np.dtype(np.uint8), icc, step=rows, decode=decode)
 
 
 def _check_jpeg_end(path: Path) -> None:
@@ -365,21 +397,17 @@ def _check_jpeg_end(path: Path) -> None:
 
 def _open_raw(path: Path) -> Decoder:
     """Open a camera raw file, which is developed linearly and alike for every frame."""
-    import rawpy
-
-    needed, size = _extent_of_dng(path), path.stat().st_size
-    if needed > size:
-        raise TileError(
-            f"{path}: it is truncated: its images need {needed} bytes, the file has {size}; copy it again "
-            "from the camera"
-        )
-    with rawpy.imread(str(path)) as raw:
-        rows, columns, channels = raw.sizes.height, raw.sizes.width, raw.num_colors
+    with _explained(path) as raw:
+        sizes = raw.sizes
+        rows, columns, channels = sizes.height, sizes.width, raw.num_colors
+    camera_raws.check_size(path, sizes.raw_height * sizes.raw_width)
     if channels not in (1, 3):
         raise TileError(f"{path}: its sensor has {channels} colours; develop it to an RGB TIFF, linearly")
 
     def decode(start: int, stop: int) -> Array:
-        with rawpy.imread(str(path)) as raw:
+        import rawpy
+
+        with _explained(path) as raw:
             numbers: Array = raw.postprocess(
                 # The same linear interpolation in every frame: one that follows edges would choose
                 # other neighbours under another lamp, and the ratios between lamps are the measurement.
@@ -399,15 +427,14 @@ def _open_raw(path: Path) -> Decoder:
     return Decoder(rows, columns, channels, np.dtype(np.uint16), None, step=rows, decode=decode)
 
 
-def _extent_of_dng(path: Path) -> int:
-    """Bytes that the images of a DNG need: LibRaw would fill the missing end of one with zeros.
+@contextmanager
+def _explained(path: Path) -> Iterator[rawpy.RawPy]:
+    """Open a camera raw file; what LibRaw says of one that it cannot read is often not the reason."""
+    import rawpy
 
-    0 for the other raw formats, whose tables of strips need not mean what a TIFF's mean.
-    """
-    if path.suffix.lower() != ".dng":
-        return 0
-    with tifffile.TiffFile(path) as file:
-        pages = [page.aspage() for page in file.pages]
-        pages += [sub.aspage() for page in pages for sub in page.pages or ()]
-        segments = [zip(page.dataoffsets, page.databytecounts, strict=False) for page in pages]
-        return max((offset + count for listed in segments for offset, count in listed), default=0)
+    try:
+        with rawpy.imread(str(path)) as raw:
+            yield raw
+    except rawpy.LibRawError:
+        camera_raws.explain_compression(path)
+        raise

@@ -12,7 +12,7 @@ from typing import NamedTuple, Protocol, TypeVar
 import numpy as np
 
 from nlights_core.algorithms import PHOTONS
-from nlights_core.capture import Encoding, Sensor, Tile
+from nlights_core.capture import Sensor, Tile
 from nlights_core.errors import TileError
 from nlights_core.fields import LightField
 from nlights_core.frames import Array, PixelGrid
@@ -22,6 +22,7 @@ from nlights_core.memory import band_memory
 from nlights_core.photographs.flat_fields import FlatField
 from nlights_core.photographs.headers import grid_of, survey
 from nlights_core.photographs.images import EYE, ImageInfo, Photograph, grey, is_saturated
+from nlights_core.photographs.masks import Mask
 from nlights_core.photographs.noise import Noise, measure_noise
 
 BAND_BYTES = 64 << 20
@@ -162,7 +163,7 @@ class Darkroom:
     photographs: Mapping[str, Photograph]
     paths: Mapping[str, Path]
     dark: Photograph | None
-    mask: Photograph | None
+    mask: Mask | None
     subject: str
     sensor: Sensor | None
     exposures: dict[str, Exposure] = field(default_factory=dict)
@@ -186,7 +187,7 @@ class Darkroom:
         shape = (stop - start, self.grid.columns)
         inside = np.ones(shape, bool)
         if self.mask is not None:
-            inside = self.mask.band(start, stop).max(axis=-1) > 0
+            inside = self.mask.band(start, stop)
         dark = self.dark.band(start, stop) if self.dark is not None else None
         if dark is not None:
             self.exposures.setdefault("dark", Exposure()).add(grey(dark).ravel(), is_saturated(dark).ravel())
@@ -306,17 +307,36 @@ class Darkroom:
         return Band(raw.start, raw.stop, images, weights, saturated, vectors, ambient, mixed)
 
     def check(self) -> None:
-        """Refuse a photograph that turned out black or saturated throughout, and an empty mask."""
+        """Refuse a photograph that turned out black or saturated throughout."""
+        self._check_range()
         dark = self.exposures.pop("dark", None)
         if dark is not None and self.dark is not None and dark.saturated > 0.5 * dark.pixels:
             raise TileError(
                 f"{self.dark.path}: dark: {dark.saturated / dark.pixels:.1%} of its pixels are saturated; "
                 "photograph it again with the lens covered"
             )
-        if self.mask is not None and not any(exposure.pixels for exposure in self.exposures.values()):
-            raise TileError(f"{self.mask.path}: mask: is 0 everywhere; paint the artwork white")
         for lamp, exposure in self.exposures.items():
             exposure.check(f"{self.subject}.{lamp}", self.paths[lamp])
+
+    def _check_range(self) -> None:
+        """Refuse numbers that mean something else than the capture says, before anybody is sent to photograph again.
+
+        No photograph is brighter than saturation on average.
+        """
+        for name, exposure in self.exposures.items():
+            photograph = self.dark if name == "dark" else self.photographs[name]
+            mean = exposure.total / max(exposure.pixels, 1)
+            if photograph is None or mean <= 1 or not np.isfinite(self.info.saturation):
+                continue
+            level = self.info.saturation
+            said = "the level that encoding.saturation states"
+            if photograph.encoding.saturation is None:
+                said = f"what a file of {self.info.dtype} numbers holds at saturation unless the capture says more"
+            raise TileError(
+                f"{photograph.path}: {name if name == 'dark' else f'{self.subject}.{name}'}: its numbers are "
+                f"{mean * level:.6g} on average, above {level:g}, {said}; state the number at which the sensor "
+                "saturates in encoding.saturation (65535 for the range of 16 bits), or none if nothing is saturated"
+            )
 
 
 def grey_shares(channels: int, flat_field: FlatField | None) -> Array:
@@ -407,16 +427,19 @@ def darkroom(tile: Tile, scratch: Path, *, flats: bool = False) -> Iterator[Dark
         raise TileError(f"{tile.artwork}/{tile.name}: flats: are missing; add them to artwork.yaml")
     with ExitStack() as stack:
 
-        def opened(path: Path, encoding: Encoding) -> Photograph:
-            return stack.enter_context(Photograph(path, encoding, scratch))
+        def opened(path: Path) -> Photograph:
+            return stack.enter_context(Photograph(path, tile.encoding, scratch))
 
+        mask = Mask(tile.mask) if tile.mask and not flats else None
+        if mask is not None:
+            mask.require_some()
         yield Darkroom(
             grid=grid_of(tile, info),
             info=info,
-            photographs={lamp: opened(path, tile.encoding) for lamp, path in paths.items()},
+            photographs={lamp: opened(path) for lamp, path in paths.items()},
             paths=paths,
-            dark=opened(tile.dark, tile.encoding) if tile.dark else None,
-            mask=opened(tile.mask, Encoding()) if tile.mask and not flats else None,
+            dark=opened(tile.dark) if tile.dark else None,
+            mask=mask,
             subject="flats" if flats else "frames",
             sensor=tile.sensor,
         )

@@ -6,7 +6,6 @@ import threading
 from collections.abc import Iterator
 from contextlib import nullcontext
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryFile
 
@@ -16,14 +15,16 @@ from nlights_core.capture import Encoding
 from nlights_core.errors import TileError
 from nlights_core.frames import Array
 from nlights_core.photographs.decoders import RAW_SATURATION, Decoder, explain_damage, is_raw, open_decoder
+from nlights_core.photographs.icc_profiles import linear_profile
+from nlights_core.photographs.tone_curves import BELOW_ONE, ToneCurve, curve_of, full_scale, linear_light
 
 LARGE_BYTES = 64 * 2**20
 """Decoded rows that must be kept together go to a scratch file when they are larger than this."""
 
 AS_STORED = Encoding()
-"""The encoding of a capture that says nothing: linear, no mosaic, saturated at the type's largest number."""
+"""The encoding of a capture that says nothing: the tone curve of the embedded profile or none, no mosaic,
+saturated at the type's largest number."""
 
-_BELOW_ONE = np.nextafter(np.float32(1), np.float32(0))
 _decoding_large = threading.Lock()
 
 
@@ -43,7 +44,11 @@ class ImageInfo:
         Level at which the sensor saturates, in the file's numbers; infinity where nothing is
         saturated.
     icc : bytes or None
-        The embedded ICC profile, for display; it is not applied.
+        The embedded ICC profile as it is for linear light, for display: its colours are not applied.
+    curve : ToneCurve or None
+        The tone curve that is undone; None: the file's numbers are in proportion to light.
+    pages : tuple of str
+        Of a TIFF with several full pages, what each is; the one that is read first.
     """
 
     rows: int
@@ -52,6 +57,8 @@ class ImageInfo:
     dtype: np.dtype[np.generic]
     saturation: float
     icc: bytes | None
+    curve: ToneCurve | None = None
+    pages: tuple[str, ...] = ()
 
 
 def probe(path: Path, encoding: Encoding = AS_STORED) -> ImageInfo:
@@ -89,8 +96,8 @@ class Photograph:
     path : Path
         TIFF, PNG, JPEG, BMP, TGA or camera raw.
     encoding : Encoding
-        How the file's numbers stand for light.  Camera raw files are developed linearly and have
-        no mosaic left, so only the saturation level applies to them.
+        How the file's numbers stand for light; it goes before the profile that the file embeds.  Camera raw
+        files are developed linearly and have no mosaic left, so only the saturation level applies to them.
     scratch : Path, optional
         Folder for what must be kept decoded and is larger than `LARGE_BYTES`; such files are
         decoded one at a time.  None: it is kept in memory.
@@ -110,6 +117,7 @@ class Photograph:
         self.path, self.encoding, self.scratch = path, encoding, scratch
         self._mosaic = None if is_raw(path) else encoding.mosaic
         self._transfer = "linear" if is_raw(path) else encoding.transfer
+        self._curve: ToneCurve | None = None
         self._decoder: Decoder | None = None
         self._block: Array | None = None
         self._block_start = 0
@@ -119,13 +127,16 @@ class Photograph:
         """The photograph's header; raises `TileError` as `probe` does."""
         decoder = self._open()
         cell = 2 if self._mosaic else 1
+        channels = 3 if self._mosaic else decoder.channels
         return ImageInfo(
             rows=decoder.rows // cell,
             columns=decoder.columns // cell,
-            channels=3 if self._mosaic else decoder.channels,
+            channels=channels,
             dtype=decoder.dtype,
             saturation=_saturation(self.path, decoder.dtype, self.encoding),
-            icc=decoder.icc,
+            icc=decoder.icc and linear_profile(decoder.icc, channels),
+            curve=self._curve,
+            pages=decoder.pages,
         )
 
     def band(self, start: int, stop: int) -> Array:
@@ -156,18 +167,27 @@ class Photograph:
         light = np.empty(((stop - start) * cell, decoder.columns, decoder.channels), np.float32)
         filled = 0
         for numbers in self._numbers(decoder, start * cell, stop * cell):
-            light[filled : filled + len(numbers)] = linear_light(numbers, info.saturation, self._transfer)
+            self._develop(numbers, info.saturation, light[filled : filled + len(numbers)])
             filled += len(numbers)
         if decoder.dtype.kind == "f":
             self._check_finite(light, start * cell)
         return superpixels(light[..., 0], self._mosaic) if self._mosaic else light
+
+    def _develop(self, numbers: Array, saturation: float, light: Array) -> None:
+        """Light of the file's numbers, channel by channel where their curves differ."""
+        curves = self._curve.channels if self._curve else (None,)
+        if len(curves) == 1:
+            light[:] = linear_light(numbers, saturation, curves[0])
+            return
+        for channel, curve in enumerate(curves):
+            light[..., channel] = linear_light(numbers[..., channel], saturation, curve)
 
     @property
     def plain(self) -> bool:
         """Test whether light is the file's number over the saturation level: no mosaic, no tone curve."""
         decoder = self._open()
         whole = decoder.dtype.kind == "u" and decoder.dtype.itemsize <= 2
-        return whole and self._mosaic is None and self._transfer == "linear"
+        return whole and self._mosaic is None and self._curve is None
 
     @property
     def scale(self) -> tuple[float, float, float]:
@@ -175,15 +195,21 @@ class Photograph:
         info = self.info
         if np.isfinite(info.saturation):
             return 1 / info.saturation, info.saturation, np.inf
-        return 1 / _full_scale(info.dtype), np.inf, float(_BELOW_ONE)
+        return 1 / full_scale(info.dtype), np.inf, float(BELOW_ONE)
+
+    @property
+    def stored_shape(self) -> tuple[int, int, int]:
+        """Rows, columns and channels of the file: of a mosaic's file, not of what `band` makes of it."""
+        decoder = self._open()
+        return decoder.rows, decoder.columns, decoder.channels
 
     def numbers(self, start: int, stop: int, out: Array) -> None:
-        """Copy what the file holds in a band of rows of a `plain` photograph; raises as `band` does.
+        """Copy what the file holds in a band of its rows, as stored; raises as `band` does.
 
         Parameters
         ----------
         start, stop : int
-            Rows.
+            Rows of the file: a mosaic has them twice.
         out : (stop - start, columns, channels) array of ``info.dtype``
             Receives it.
         """
@@ -218,6 +244,11 @@ class Photograph:
                     f"{self.path}: has {decoder.channels} channels, but mosaic: {self._mosaic} is for grey "
                     "files; remove mosaic from the capture's encoding, or give files not yet demosaiced"
                 )
+            try:
+                self._curve = curve_of(self._transfer, decoder.icc, decoder.channels, self.path)
+            except TileError:
+                decoder.close()
+                raise
             self._decoder = decoder
         return self._decoder
 
@@ -262,13 +293,8 @@ def _saturation(path: Path, dtype: np.dtype[np.generic], encoding: Encoding) -> 
     """The level in the file's numbers, infinite where nothing saturates."""
     if encoding.saturation == "none":
         return float("inf")
-    default = RAW_SATURATION if is_raw(path) else _full_scale(dtype)
+    default = RAW_SATURATION if is_raw(path) else full_scale(dtype)
     return default if encoding.saturation is None else float(encoding.saturation)
-
-
-def _full_scale(dtype: np.dtype[np.generic]) -> float:
-    """The largest number of an unsigned type; 1 for floats."""
-    return float(256**dtype.itemsize - 1) if dtype.kind == "u" else 1.0
 
 
 def _moved_to_disk(numbers: Array, scratch: Path) -> Array:
@@ -280,59 +306,6 @@ def _moved_to_disk(numbers: Array, scratch: Path) -> Array:
             file.write(np.ascontiguousarray(numbers[row : row + 256]).data)
         file.flush()
         return np.memmap(file, numbers.dtype, "r", shape=numbers.shape)
-
-
-def linear_light(numbers: Array, saturation: float, transfer: str = "linear") -> Array:
-    """Turn a file's numbers into linear light.
-
-    Parameters
-    ----------
-    numbers : array of uint8, uint16, uint32 or float32
-        What the file holds, in any byte order.
-    saturation : float
-        Level at which the sensor saturates, in those numbers.  Infinite: nothing saturates, the
-        numbers are divided by the largest of their type (1 for floats), and integers stay
-        below 1.
-    transfer : {"linear", "srgb"}
-        Tone curve that is undone after the division (`decode_srgb`).
-
-    Returns
-    -------
-    float32 array of the same shape
-        Fraction of the saturation level: 1 or more exactly where the number is at or above it.
-    """
-    scale = saturation if np.isfinite(saturation) else _full_scale(numbers.dtype)
-    unsigned, size = numbers.dtype.kind == "u", numbers.dtype.itemsize
-    if transfer == "linear" and not (unsigned and size == 4):
-        # Up to 24 bits the correctly rounded quotient never reaches 1 from below.
-        light = np.divide(numbers, np.float32(scale), dtype=np.float32)
-    elif unsigned and size < 4:
-        light = _srgb_table(size, scale)[numbers]
-    else:
-        fraction = numbers / np.float64(scale)
-        light = (decode_srgb(fraction) if transfer == "srgb" else fraction).astype(np.float32)
-        light = np.where(fraction >= 1, np.maximum(light, np.float32(1)), np.minimum(light, _BELOW_ONE))
-    return np.minimum(light, _BELOW_ONE) if unsigned and np.isinf(saturation) else light
-
-
-@lru_cache(maxsize=8)
-def _srgb_table(itemsize: int, scale: float) -> Array:
-    """Linear light of every 8- or 16-bit number: a power per pixel would cost more than the physics."""
-    return linear_light(np.arange(256**itemsize, dtype=np.uint32), scale, "srgb")
-
-
-def decode_srgb(encoded: Array) -> Array:
-    """Undo the sRGB tone curve (IEC 61966-2-1, continued above 1).
-
-    Light is v / 12.92 up to v = 0.04045 and ((v + 0.055) / 1.055)^2.4 above.
-
-    Parameters
-    ----------
-    encoded : float64 array
-        Encoded values v, 1 for white.
-    """
-    curved = ((np.maximum(encoded, 0.04045) + 0.055) / 1.055) ** 2.4
-    return np.where(encoded <= 0.04045, encoded / 12.92, curved)
 
 
 def superpixels(mosaic: Array, pattern: str) -> Array:

@@ -40,14 +40,30 @@ def mean_of(array: Array) -> float | None:
     return float(total / known) if known else None
 
 
-def summarise_counts(array: Array, least: int = 1) -> tuple[float, float] | None:
-    """Mean of whole numbers (H, W), and the share of them that are at least ``least``; None without any."""
+def summarise_counts(array: Array, least: int = 1, inside: int | None = None) -> tuple[float, float] | None:
+    """Mean of whole numbers, and the share of them that are at least ``least``.
+
+    Parameters
+    ----------
+    array : (H, W) array of unsigned integers
+        0 outside the mask.
+    least : int
+        At least 1.
+    inside : int, optional
+        How many pixels are inside the mask; all of them where there is none.
+
+    Returns
+    -------
+    (mean, share) or None
+        None where there is no pixel.
+    """
     from nlights_core.report import compiled_statistics
 
-    if not array.size:
+    count = array.size if inside is None else inside
+    if not count:
         return None
     total, enough = _added(lambda band: compiled_statistics.sum_counts(_flat(array[band]), least), array)
-    return total / array.size, enough / array.size
+    return total / count, enough / count
 
 
 def inclination(normals: Array) -> tuple[float, float | None]:

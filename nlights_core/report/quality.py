@@ -115,18 +115,18 @@ def _fit(maps: Mapping[str, Array], grid: PixelGrid) -> list[Number]:
     ]
 
 
-def _share(array: Array | None) -> float | None:
-    """Percentage of the pixels whose count is not 0."""
-    found = None if array is None else summarise_counts(array)
+def _share(array: Array | None, inside: int | None) -> float | None:
+    """Percentage of the pixels inside whose count is not 0."""
+    found = None if array is None else summarise_counts(array, inside=inside)
     return None if found is None else 100 * found[1]
 
 
-def _lights(maps: Mapping[str, Array], known: float | None) -> list[Number]:
+def _lights(maps: Mapping[str, Array], known: float | None, inside: int | None) -> list[Number]:
     """Numbers of coverage, of which the known share is given, and of how many lights served."""
     group, used = "Light", maps.get("used")
     stacks = [len(maps[name]) for name in ("flat_field", "frames") if name in maps]
     lamps = stacks[0] if stacks else int(used.max()) if used is not None and used.size else 0
-    served = None if used is None else summarise_counts(used, lamps)
+    served = None if used is None else summarise_counts(used, lamps, inside)
     mean, every = served or (None, None)
     return [
         Number(group, "Known share", known, "% of pixels", "Where the surface could be measured at all."),
@@ -147,14 +147,14 @@ def _lights(maps: Mapping[str, Array], known: float | None) -> list[Number]:
         Number(
             group,
             "Saturated",
-            _share(maps.get("saturated")),
+            _share(maps.get("saturated"), inside),
             "% of pixels",
             "Where at least one photograph is overexposed and was left out.",
         ),
         Number(
             group,
             "In shadow",
-            _share(maps.get("shadow")),
+            _share(maps.get("shadow"), inside),
             "% of pixels",
             "Where at least one lamp casts a shadow.",
         ),
@@ -218,7 +218,9 @@ def _removed(maps: Mapping[str, Array], grid: PixelGrid, lamps: Sequence[str]) -
     ]
 
 
-def measure(maps: Mapping[str, Array], grid: PixelGrid, lamps: Sequence[str] = ()) -> list[Number]:
+def measure(
+    maps: Mapping[str, Array], grid: PixelGrid, lamps: Sequence[str] = (), inside: int | None = None
+) -> list[Number]:
     """Every number of the report, in its order.
 
     Parameters
@@ -233,6 +235,8 @@ def measure(maps: Mapping[str, Array], grid: PixelGrid, lamps: Sequence[str] = (
         Where the pixels are.
     lamps : sequence of str
         Their names, in the order of "flat_field"; they are numbered where there are none.
+    inside : int, optional
+        Pixels inside the mask, of which shares are counted; all of them where there is none.
 
     Returns
     -------
@@ -244,8 +248,10 @@ def measure(maps: Mapping[str, Array], grid: PixelGrid, lamps: Sequence[str] = (
     if "normals" in maps:
         share, slope = inclination(maps["normals"])
         known = 100 * share
+        if inside is not None:
+            known *= grid.rows * grid.columns / max(1, inside)
     return [
-        *_lights(maps, known),
+        *_lights(maps, known, inside),
         *_fit(maps, grid),
         *_surface(maps, grid, slope),
         *_removed(maps, grid, lamps),

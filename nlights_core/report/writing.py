@@ -20,6 +20,7 @@ from nlights_core.lamps.emission import read_stand_check
 from nlights_core.near_light.levelling import read_level
 from nlights_core.near_light.position_uncertainty import position_uncertainty
 from nlights_core.photographs.flat_fields import read_flat_field
+from nlights_core.photographs.masks import Mask
 from nlights_core.photographs.noise import read_noise
 from nlights_core.products.writing import WHAT, open_maps, white_reflectance
 from nlights_core.report import quality
@@ -53,6 +54,7 @@ def write_report(
         maps["flat_field"] = read_flat_field(made["flat_field"]).inside(grid)
     if "bias" in made:
         maps["bias"] = read_array(made["bias"] / "bias.npy")
+    inside = Mask(tile.mask).pixels if tile.mask else None
     white = white_reflectance(store, normals)
     files = [*made["maps"].iterdir(), *made["mesh"].iterdir()]
     said = {
@@ -78,7 +80,7 @@ def write_report(
     # Drawing keeps mostly Python busy and measuring mostly compiled loops, so they go on together.
     with ThreadPoolExecutor(1) as beside:
         drawing = beside.submit(draw, said, maps, grid)
-        numbers = _numbers(maps, grid, tile, made, said["lights"], white)
+        numbers = _numbers(maps, grid, tile, made, said["lights"], white, inside)
         if height.stage == "level":
             numbers += quality.of_level(read_level(store.path(height)))
         numbers = quality.grouped(numbers)
@@ -108,11 +110,12 @@ def _numbers(
     made: Mapping[str, Path],
     lights: dict[str, Any],
     white: float | None,
+    inside: int | None,
 ) -> list[Number]:
     """The numbers of the report, but for those of the level."""
     stand, uncertainty = tile.stand, tile.stand.uncertainty_mm if tile.stand else None
     field = LightField.from_record(lights)
-    numbers = quality.measure(maps, grid, tile.lamps)
+    numbers = quality.measure(maps, grid, tile.lamps, inside)
     numbers += quality.of_agreement(read_agreement(made["normals"]), tile.lamps)
     wrong = uncertainty and position_uncertainty(
         maps["normals"], grid, field, uncertainty, photographed=white is not None

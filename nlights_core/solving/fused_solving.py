@@ -189,7 +189,7 @@ class FusedSolver:
                 out[:] = photograph.band(start, stop)
         inside, height = np.empty((0, 0), np.uint8), np.empty((0, 0), np.float32)
         if room.mask is not None:
-            inside = (room.mask.band(start, stop).max(axis=-1) > 0).astype(np.uint8)
+            inside = room.mask.band(start, stop).view(np.uint8)
         if self.height is not None:
             # What is read-only would be another type to the kernel, and compiled once more.
             height = np.require(self.height[start:stop], np.float32, ["C", "W"])

@@ -12,6 +12,7 @@ from nlights_core.capture import Tile
 from nlights_core.errors import TileError
 from nlights_core.fields import LightField
 from nlights_core.frames import Array
+from nlights_core.machine.regular_files import irregular_kind
 
 
 class GivenDirections(LightModel):
@@ -186,6 +187,8 @@ def _order(tile: Tile, listed: Listed) -> list[int]:
 
 def _lines(path: Path) -> list[str]:
     """Lines of a text file that say something."""
+    if kind := irregular_kind(path):
+        raise TileError(f"{path}: {kind}, where a text file is expected; name the file itself")
     try:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
     except UnicodeDecodeError as fault:

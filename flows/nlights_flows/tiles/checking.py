@@ -6,13 +6,17 @@ import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from nlights_core.capture import Tile
+from nlights_core.capture_warnings import CaptureWarning
 from nlights_core.errors import NlightsError
 from nlights_core.fields import LightField
 from nlights_core.photographs.development import Exposure, bands_of_grid, darkroom
+from nlights_core.photographs.headers import page_warnings, survey
+from nlights_core.photographs.number_ranges import range_warnings
 from nlights_core.recipe import Recipe
 from nlights_flows.tiles.running import require_memory
 
@@ -32,6 +36,8 @@ class Finding:
         Sentences about what is allowed but seldom meant.
     problems : list of str
         Sentences; empty when the tile can be digitised.
+    warnings : list of CaptureWarning
+        What the photographs show that nobody meant.
     """
 
     tile: str
@@ -39,6 +45,7 @@ class Finding:
     exposures: dict[str, Exposure] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
+    warnings: list[CaptureWarning] = field(default_factory=list)
 
 
 def check_tiles(tiles: Sequence[Tile], recipe: Recipe, progress: Callable[[float], None]) -> list[Finding]:
@@ -69,11 +76,18 @@ def check_tile(tile: Tile, recipe: Recipe, progress: Callable[[float], None]) ->
     """
     finding = Finding(tile.name)
     finding.problems += recipe.lacking(tile)
-    jpeg = [path.name for path in tile.frames.values() if path.suffix.lower() in (".jpg", ".jpeg")]
-    if jpeg and "transfer" not in tile.encoding.model_fields_set:
+    finding.warnings += _told(page_warnings, tile)
+    curves = _told(_curves, tile)
+    for curve in curves:
         finding.notes.append(
-            f"{jpeg[0]}: a JPEG is taken as linear light, which few are; state encoding: {{transfer: srgb}} (or "
-            "linear) in the manifest"
+            f"the tone curve of {curve} is undone; if the numbers are linear nevertheless, state encoding: "
+            "{transfer: linear}"
+        )
+    jpeg = [path.name for path in tile.frames.values() if path.suffix.lower() in (".jpg", ".jpeg")]
+    if jpeg and tile.encoding.transfer is None and not curves:
+        finding.notes.append(
+            f"{jpeg[0]}: a JPEG without a profile is taken as linear light, which few are; state encoding: "
+            "{transfer: srgb} (or linear) in the manifest"
         )
     sets = [False, True] if tile.flats else [False]
     for i, flats in enumerate(sets):
@@ -89,6 +103,20 @@ def check_tile(tile: Tile, recipe: Recipe, progress: Callable[[float], None]) ->
     return finding
 
 
+def _told(look: Callable[[Tile], list[Any]], tile: Tile) -> list[Any]:
+    """What a look at headers tells; nothing where they cannot be read, for that is told as a problem."""
+    try:
+        return look(tile)
+    except (NlightsError, OSError):
+        return []
+
+
+def _curves(tile: Tile) -> list[str]:
+    """Name of the tone curve that the photographs' profile states, if the capture leaves it to that."""
+    curve = survey(tile).curve
+    return [curve.name] if curve and tile.encoding.transfer in (None, "icc") else []
+
+
 def _read(
     tile: Tile, recipe: Recipe, flats: bool, finding: Finding, progress: Callable[[float], None]
 ) -> None:
@@ -100,6 +128,7 @@ def _read(
         for start, stop in bands_of_grid(grid, len(lamps) * info.channels * 8):
             room.raw(start, stop, neutral)
             progress(stop / grid.rows)
+        finding.warnings += range_warnings(room)
         if not flats:
             finding.exposures = room.exposures
             require_memory(tile, recipe)

@@ -191,6 +191,8 @@ def show_findings(findings: Sequence[Finding]) -> None:
         _wide().print(table)
         for note in finding.notes:
             complain(f"{finding.tile}: note: {note}")
+        for warning in finding.warnings:
+            complain(f"{finding.tile}: warning: {warning.sentence}")
         for problem in finding.problems:
             complain(f"{finding.tile}: {problem}")
         print(f"{finding.tile}: {'cannot be digitised' if finding.problems else 'can be digitised'}")

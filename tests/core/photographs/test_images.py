@@ -18,10 +18,8 @@ from nlights_core.errors import TileError
 from nlights_core.photographs.images import (
     LARGE_BYTES,
     Photograph,
-    decode_srgb,
     grey,
     is_saturated,
-    linear_light,
     probe,
     superpixels,
 )
@@ -155,14 +153,6 @@ def test_alpha_is_dropped(tmp_path, planar):
     np.testing.assert_array_equal(in_bands(tmp_path / "a.png"), fraction(values[..., :3], 65535))
 
 
-def test_only_the_first_page_is_read(tmp_path):
-    pages = [numbers(np.uint8, (20, 30), seed) for seed in (1, 2)]
-    with tifffile.TiffWriter(tmp_path / "a.tif") as file:
-        for page in pages:
-            file.write(page)
-    np.testing.assert_array_equal(in_bands(tmp_path / "a.tif")[..., 0], fraction(pages[0], 255))
-
-
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 @pytest.mark.parametrize("shape", [(40, 30), (40, 30, 3)], ids=["grey", "colour"])
 def test_a_png_keeps_all_its_bits(tmp_path, dtype, shape):
@@ -185,16 +175,6 @@ def test_small_formats_are_read_in_all_their_modes(tmp_path, name, mode):
     assert probe(tmp_path / name).channels == channels
     expected = np.asarray(picture.convert("L" if channels == 1 else "RGB")).reshape(40, 30, channels)
     np.testing.assert_array_equal(in_bands(tmp_path / name), fraction(expected, 255))
-
-
-@pytest.mark.parametrize("format_", ["JPEG", "PNG", "TIFF"])
-def test_the_colour_profile_is_handed_on(tmp_path, format_):
-    from PIL import ImageCms
-
-    profile = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
-    path = tmp_path / f"a.{format_.lower()}"
-    Image.fromarray(numbers(np.uint8)).save(path, format_, icc_profile=profile)
-    assert probe(path).icc == profile
 
 
 def test_the_saturation_level_can_be_declared(tmp_path):
@@ -224,27 +204,6 @@ def test_floats_above_one_are_saturated_unless_declared_otherwise(tmp_path):
     np.testing.assert_array_equal(is_saturated(band), [[False, True, True, False]])
     declared = in_bands(tmp_path / "a.tif", encoding=Encoding(saturation=50))
     np.testing.assert_array_equal(is_saturated(declared), np.zeros((1, 4), bool))
-
-
-def test_the_srgb_curve_has_its_published_values():
-    # IEC 61966-2-1: the linear part, the point where the parts meet, and two 8-bit codes.
-    codes = np.array([0.0, 10 / 255, 0.04045, 128 / 255, 188 / 255, 1.0])
-    published = [0.0, 0.0030352698, 0.0031308, 0.2158605, 0.5028865, 1.0]
-    np.testing.assert_allclose(decode_srgb(codes), published, rtol=1e-5)
-
-
-@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
-def test_srgb_is_undone_after_dividing_by_the_saturation(dtype):
-    values = numbers(dtype)
-    light = linear_light(values, FULL[dtype] * 0.75, "srgb")
-    encoded = values.astype(np.float64) / (FULL[dtype] * 0.75)
-    np.testing.assert_allclose(light, decode_srgb(encoded), rtol=1e-6, atol=1e-12)
-    np.testing.assert_array_equal(light >= 1, values >= FULL[dtype] * 0.75)
-    # The inverse curve brings the numbers back.
-    again = np.where(
-        light <= 0.0031308, light * 12.92, 1.055 * np.maximum(light, 0.0031308) ** (1 / 2.4) - 0.055
-    )
-    np.testing.assert_allclose(again, encoded, atol=2e-6)
 
 
 @pytest.mark.parametrize("pattern", ["RGGB", "BGGR", "GRBG", "GBRG"])

@@ -115,6 +115,25 @@ def test_shares_count_pixels():
     assert value(numbers, "Saturated") == pytest.approx(10)
 
 
+def test_shares_under_a_mask_count_what_is_inside():
+    normals = np.full((*GRID.shape, 3), np.nan, np.float32)
+    used, saturated, shadow = np.zeros((3, *GRID.shape), np.uint8)
+    inside = (slice(10, 30), slice(20, 60))  # 800 pixels, of which 40 are not known
+    normals[inside] = (0, 0, 1)
+    normals[10, 20:60] = np.nan
+    used[inside] = 8
+    used[10, 20:60] = 2
+    saturated[11:13, 20:60] = 1
+    shadow[13, 20:60] = 2
+    maps = {"normals": normals, "used": used, "saturated": saturated, "shadow": shadow}
+    numbers = measure(maps | {"flat_field": np.ones((8, 3, 4, 1), np.float32)}, GRID, inside=800)
+    assert value(numbers, "Known share") == pytest.approx(95)
+    assert value(numbers, "Lights used, mean") == pytest.approx(8 * 0.95 + 2 * 0.05)
+    assert value(numbers, "Pixels with all 8 lights") == pytest.approx(95)
+    assert value(numbers, "Saturated") == pytest.approx(10)
+    assert value(numbers, "In shadow") == pytest.approx(5)
+
+
 def test_residual_and_albedo_average_what_is_known():
     residual = np.full(GRID.shape, 0.01, np.float32)
     residual[0] = np.nan
