@@ -69,6 +69,10 @@ class Recipe(Record):
         )
         return [algorithm for algorithm in slots if algorithm is not None]
 
+    def needs(self, field: str) -> bool:
+        """Test whether any algorithm needs a field of the tile."""
+        return any(field in algorithm.needs for algorithm in self.algorithms())
+
     def lacking(self, tile: Tile) -> list[str]:
         """List what of a capture this recipe needs and the tile has not, as sentences."""
         return [

@@ -307,16 +307,24 @@ class Darkroom:
 
     def check(self) -> None:
         """Refuse a photograph that turned out black or saturated throughout, and an empty mask."""
+        for fault in self.faults():
+            raise fault
+
+    def faults(self) -> Iterator[TileError]:
+        """Faults of the exposures of what was read so far, one by one; none where all is well."""
         dark = self.exposures.pop("dark", None)
         if dark is not None and self.dark is not None and dark.saturated > 0.5 * dark.pixels:
-            raise TileError(
+            yield TileError(
                 f"{self.dark.path}: dark: {dark.saturated / dark.pixels:.1%} of its pixels are saturated; "
                 "photograph it again with the lens covered"
             )
         if self.mask is not None and not any(exposure.pixels for exposure in self.exposures.values()):
-            raise TileError(f"{self.mask.path}: mask: is 0 everywhere; paint the artwork white")
+            yield TileError(f"{self.mask.path}: mask: is 0 everywhere; paint the artwork white")
         for lamp, exposure in self.exposures.items():
-            exposure.check(f"{self.subject}.{lamp}", self.paths[lamp])
+            try:
+                exposure.check(f"{self.subject}.{lamp}", self.paths[lamp])
+            except TileError as fault:
+                yield fault
 
 
 def grey_shares(channels: int, flat_field: FlatField | None) -> Array:

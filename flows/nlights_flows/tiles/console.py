@@ -191,11 +191,17 @@ def show_findings(findings: Sequence[Finding]) -> None:
                 lamp, f"{100 * exposure.total / count:.2f}", f"{100 * exposure.saturated / count:.3f}"
             )
         _wide().print(table)
-        for note in finding.notes:
-            complain(f"{finding.tile}: note: {note}")
+        for warning in finding.warnings:
+            lamps = f" ({', '.join(warning.lamps)})" if warning.lamps else ""
+            complain(f"{finding.tile}: warning: {warning.code}{lamps}: {warning.sentence}")
         for problem in finding.problems:
             complain(f"{finding.tile}: {problem}")
         print(f"{finding.tile}: {'cannot be digitised' if finding.problems else 'can be digitised'}")
+
+
+def print_findings(findings: Sequence[Finding]) -> None:
+    """Print what a check found as JSON, for programs."""
+    print(json.dumps({"tiles": [finding.record() for finding in findings]}, indent=1))
 
 
 def show_plugins(registry: Registry) -> None:
