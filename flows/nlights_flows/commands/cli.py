@@ -304,7 +304,22 @@ def main() -> None:
 
 
 def _run() -> int:
-    """Run the command line; explain what is the user's to mend, without a traceback."""
+    """Run the command line; name broken plugins at its end."""
+    try:
+        return _explained()
+    finally:
+        _warn_of_plugins()
+
+
+def _warn_of_plugins() -> None:
+    """Name the plugins that were found to be broken, if this command has looked at any."""
+    registry = sys.modules.get("nlights_core.registry")
+    for plugin in registry.broken_plugins() if registry else ():
+        print(f"warning: a plugin is not used: {plugin.why}", file=sys.stderr)
+
+
+def _explained() -> int:
+    """Explain what is the user's to mend, without a traceback."""
     try:
         code: int = app(standalone_mode=False)
         return _stopped() if code == INTERRUPTED else code  # Typer has swallowed the interrupt

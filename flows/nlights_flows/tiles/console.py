@@ -13,6 +13,7 @@ from types import TracebackType
 from typing import Any
 
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
@@ -205,13 +206,15 @@ def print_findings(findings: Sequence[Finding]) -> None:
 
 
 def show_plugins(registry: Registry) -> None:
-    """Print every algorithm with its slot, origin and first sentence."""
+    """Print every algorithm with its slot, origin and first sentence, and every plugin that is broken."""
     table = Table(box=None, pad_edge=False)
     for heading in ("slot", "use", "from", "what it does"):
         table.add_column(heading, no_wrap=heading != "what it does")
     for offer in registry.offers():
         sentence = (offer.algorithm.__doc__ or "").strip().split("\n")[0]
         table.add_row(offer.algorithm.slot, offer.algorithm.name, offer.origin, sentence)
+    for plugin in registry.broken:
+        table.add_row("broken", "", plugin.origin, escape(plugin.why))
     _wide().print(table)
 
 
