@@ -20,7 +20,7 @@ from nlights_core.algorithms import (
 )
 from nlights_core.capture import Tile
 from nlights_core.configurations import GivenSource, Source, explain, find
-from nlights_core.errors import RecipeError
+from nlights_core.errors import PluginError, RecipeError
 from nlights_core.registry import Registry, installed
 from nlights_core.stands import Record
 
@@ -68,6 +68,10 @@ class Recipe(Record):
             self.detrend.height,
         )
         return [algorithm for algorithm in slots if algorithm is not None]
+
+    def needs(self, field: str) -> bool:
+        """Test whether any algorithm needs a field of the tile."""
+        return any(field in algorithm.needs for algorithm in self.algorithms())
 
     def lacking(self, tile: Tile) -> list[str]:
         """List what of a capture this recipe needs and the tile has not, as sentences."""
@@ -231,7 +235,11 @@ class _Reader:
                 self.source.fault(location, f"should be like {{use: name, ...}}; got {data!r}")
             )
             return None
-        offer = self.registry.get(slot, data["use"])
+        try:
+            offer = self.registry.get(slot, data["use"])
+        except PluginError as contested:
+            self.faults.append(self.source.fault((*location, "use"), str(contested)))
+            return None
         if offer is None:
             self.faults.append(self.source.fault((*location, "use"), self._unknown(slot, data["use"])))
             return None
@@ -265,7 +273,8 @@ class _Reader:
         listed = "".join(f"\n    available: {o.algorithm.name:{width}}  ({o.origin})" for o in offers)
         what = slot.replace("detrend.", "detrend of ").replace("_", " ")
         hint = f"; did you mean '{near[0]}'?" if near else ""
-        return f"no {what} is called '{name}'{hint}{listed}"
+        broken = "".join(f"\n    broken: {one.why}" for one in self.registry.broken)
+        return f"no {what} is called '{name}'{hint}{listed}{broken}"
 
 
 def recipe_schema(registry: Registry | None = None) -> dict[str, Any]:

@@ -62,32 +62,62 @@ class Offer:
         return f"{self.distribution} {self.version}"
 
 
+@dataclass(frozen=True)
+class Broken:
+    """A plugin, or one of its algorithms, that cannot be used.
+
+    Attributes
+    ----------
+    distribution, version : str
+        Whose it is.
+    why : str
+        What is wrong with it and what to do, in a sentence that names it.
+    """
+
+    distribution: str
+    version: str
+    why: str
+
+    @property
+    def origin(self) -> str:
+        """Distribution and version, as people write them."""
+        return f"{self.distribution} {self.version}"
+
+
 class Registry:
     """The algorithms at hand, by slot and name.
 
     Parameters
     ----------
     offers : iterable of Offer
-        Checked one by one: complete, of a known kind, named, and named only once.
+        Checked one by one: complete, of a known kind, and named.
+    broken : iterable of Broken
+        What could not even be looked at.
 
-    Raises
-    ------
-    PluginError
-        Naming the distribution at fault.
+    Attributes
+    ----------
+    broken : list of Broken
+        Plugins that cannot be used.  They cost nothing until a recipe asks for one.
     """
 
-    def __init__(self, offers: Iterable[Offer]) -> None:
+    def __init__(self, offers: Iterable[Offer], broken: Iterable[Broken] = ()) -> None:
         self._offers: dict[tuple[str, str], Offer] = {}
+        self._contested: dict[tuple[str, str], str] = {}
+        self.broken = list(broken)
         for offer in offers:
-            _check(offer)
+            try:
+                _check(offer)
+            except PluginError as fault:
+                self.broken.append(Broken(offer.distribution, offer.version, str(fault)))
+                continue
             key = (offer.algorithm.slot, offer.algorithm.name)
-            other = self._offers.get(key)
-            if other is not None:
-                raise PluginError(
+            other = self._offers.setdefault(key, offer)
+            if other is not offer:
+                self._contested[key] = (
                     f"{key[0]}: '{key[1]}' is offered by {other.origin} and by {offer.origin}; "
                     "uninstall one of them"
                 )
-            self._offers[key] = offer
+                self.broken.append(Broken(offer.distribution, offer.version, self._contested[key]))
 
     def offers(self, slot: str | None = None) -> list[Offer]:
         """Algorithms on offer, for one slot or for all, sorted by slot and name."""
@@ -96,7 +126,15 @@ class Registry:
         return sorted(found, key=lambda o: (order.index(o.algorithm.slot), o.algorithm.name))
 
     def get(self, slot: str, name: str) -> Offer | None:
-        """Look an offer up."""
+        """Look an offer up.
+
+        Raises
+        ------
+        PluginError
+            When two distributions offer it: nobody can tell which is meant.
+        """
+        if (slot, name) in self._contested:
+            raise PluginError(self._contested[slot, name])
         return self._offers.get((slot, name))
 
     def origin(self, algorithm: Algorithm) -> str:
@@ -132,41 +170,63 @@ def _check(offer: Offer) -> None:
 def installed() -> Registry:
     """Load every installed plugin, once per process.
 
+    One that cannot be loaded, offers a misspelt hook, or offers what is incomplete or already taken is
+    among the registry's `Registry.broken`.
+
     Raises
     ------
     PluginError
-        When a distribution cannot be loaded, offers a misspelt hook, or what it offers is
-        incomplete or already taken.
+        When what nLights itself ships cannot be loaded.
     """
+    offers: list[Offer] = []
+    broken: list[Broken] = []
+    for entry in sorted(metadata.entry_points(group=GROUP), key=lambda e: (e.name != "bundled", e.name)):
+        distribution = (entry.dist.metadata["Name"] if entry.dist else None) or "unknown distribution"
+        version = (entry.dist.version if entry.dist else None) or "0"
+        try:
+            offers += [Offer(cls, distribution, version) for cls in _offered(entry)]
+        except PluginError as fault:
+            if entry.value == BUNDLED:
+                raise PluginError(f"{distribution} {version}: {fault}") from fault
+            broken.append(Broken(distribution, version, f"{distribution} {version}: {fault}"))
+    return Registry(offers, broken)
+
+
+def broken_plugins() -> list[Broken]:
+    """Plugins that were found to be broken in this process; none where nobody has looked yet."""
+    return installed().broken if installed.cache_info().currsize else []
+
+
+def _offered(entry: metadata.EntryPoint) -> list[type[Algorithm]]:
+    """Classes that an entry point offers.
+
+    Raises
+    ------
+    PluginError
+        Saying what is wrong with it, but not whose it is.
+    """
+    # A manager of its own: a misspelt hook would count against every plugin that comes after it.
     manager = pluggy.PluginManager(GROUP)
     manager.add_hookspecs(Hooks)
-    offers: list[Offer] = []
-    for entry in sorted(metadata.entry_points(group=GROUP), key=lambda e: (e.name != "bundled", e.name)):
-        distribution = entry.dist.metadata["Name"] if entry.dist else "unknown distribution"
-        version = entry.dist.version if entry.dist else "0"
-        try:
-            plugin = entry.load()
-            name = manager.register(plugin, name=f"{distribution}:{entry.name}")
-            manager.check_pending()
-        except (Exception, SystemExit) as fault:
-            raise PluginError(
-                f"{distribution} {version}: cannot be loaded ({fault}); repair or uninstall it"
-            ) from fault
-        callers = [c for c in manager.hook.nlights_algorithms.get_hookimpls() if c.plugin_name == name]
-        if not callers:
-            raise PluginError(
-                f"{distribution} {version}: {entry.value} has no hook nlights_algorithms; "
-                "mark one with @hookimpl, or uninstall it"
-            )
-        try:
-            classes: list[type[Algorithm]] = list(callers[0].function())  # type: ignore[call-overload]
-        except (Exception, SystemExit) as fault:
-            raise PluginError(
-                f"{distribution} {version}: its hook nlights_algorithms should return a list of classes, but "
-                f"failed ({type(fault).__name__}: {fault}); repair or uninstall it"
-            ) from fault
-        offers += [Offer(cls, distribution, version) for cls in classes]
-    return Registry(offers)
+    try:
+        manager.register(entry.load(), name=entry.name)
+        manager.check_pending()
+    except (Exception, SystemExit) as fault:
+        said = f"{type(fault).__name__}: {fault}" if str(fault) else type(fault).__name__
+        raise PluginError(f"cannot be loaded ({said}); repair or uninstall it") from fault
+    callers = manager.hook.nlights_algorithms.get_hookimpls()
+    if not callers:
+        raise PluginError(
+            f"{entry.value} has no hook nlights_algorithms; mark one with @hookimpl, or uninstall it"
+        )
+    try:
+        classes: list[type[Algorithm]] = list(callers[0].function())  # type: ignore[call-overload]
+    except (Exception, SystemExit) as fault:
+        raise PluginError(
+            "its hook nlights_algorithms should return a list of classes, but failed "
+            f"({type(fault).__name__}: {fault}); repair or uninstall it"
+        ) from fault
+    return classes
 
 
 @cache

@@ -15,6 +15,9 @@ from nlights_core.agreement.samples import sample_photographs
 from nlights_core.capture import Tile
 from nlights_core.capture_warnings import CaptureWarning
 from nlights_core.fields import LightField
+from nlights_core.photographs.development import darkroom
+from nlights_core.photographs.headers import header_warnings
+from nlights_core.photographs.number_ranges import range_warnings
 
 
 def examine_photographs(
@@ -48,10 +51,15 @@ def examine_photographs(
     TileError
         When a photograph is missing, cannot be read, or does not fit the others.
     """
+    told = header_warnings(tile)
+    for which in (False, True) if flats and tile.flats else (False,):
+        with darkroom(tile, scratch, flats=which) as room:
+            told += range_warnings(room)
     samples = sample_photographs(tile, flats, scratch, lambda done: progress(0.4 * done))
     first = compare_photographs(samples, tile, lights)
     progress(0.5)
-    if first.final or lights is None:
-        return first.warnings
-    rest = [lamp for lamp in samples.lamps if lamp not in first.lamps]
-    return first.warnings + compare_with_predictions(samples, rest, tile, lights, scratch, progress)
+    found = first.warnings
+    if not first.final and lights is not None:
+        rest = first.trusted(samples.lamps)
+        found += compare_with_predictions(samples, rest, tile, lights, scratch, progress)
+    return found + told

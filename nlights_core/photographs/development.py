@@ -308,18 +308,29 @@ class Darkroom:
 
     def check(self) -> None:
         """Refuse a photograph that turned out black or saturated throughout."""
-        self._check_range()
+        for fault in self.faults():
+            raise fault
+
+    def faults(self) -> Iterator[TileError]:
+        """Faults of the exposures of what was read so far, one by one; none where all is well."""
+        beyond = self._beyond_range()
+        if beyond is not None:
+            yield beyond  # what is measured against a wrong range says nothing more
+            return
         dark = self.exposures.pop("dark", None)
         if dark is not None and self.dark is not None and dark.saturated > 0.5 * dark.pixels:
-            raise TileError(
+            yield TileError(
                 f"{self.dark.path}: dark: {dark.saturated / dark.pixels:.1%} of its pixels are saturated; "
                 "photograph it again with the lens covered"
             )
         for lamp, exposure in self.exposures.items():
-            exposure.check(f"{self.subject}.{lamp}", self.paths[lamp])
+            try:
+                exposure.check(f"{self.subject}.{lamp}", self.paths[lamp])
+            except TileError as fault:
+                yield fault
 
-    def _check_range(self) -> None:
-        """Refuse numbers that mean something else than the capture says, before anybody is sent to photograph again.
+    def _beyond_range(self) -> TileError | None:
+        """Fault of numbers that mean something else than the capture says: nobody need photograph again.
 
         No photograph is brighter than saturation on average.
         """
@@ -332,11 +343,12 @@ class Darkroom:
             said = "the level that encoding.saturation states"
             if photograph.encoding.saturation is None:
                 said = f"what a file of {self.info.dtype} numbers holds at saturation unless the capture says more"
-            raise TileError(
+            return TileError(
                 f"{photograph.path}: {name if name == 'dark' else f'{self.subject}.{name}'}: its numbers are "
                 f"{mean * level:.6g} on average, above {level:g}, {said}; state the number at which the sensor "
                 "saturates in encoding.saturation (65535 for the range of 16 bits), or none if nothing is saturated"
             )
+        return None
 
 
 def grey_shares(channels: int, flat_field: FlatField | None) -> Array:

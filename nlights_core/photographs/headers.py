@@ -108,8 +108,8 @@ def _listed(names: list[str]) -> str:
     return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
 
 
-def page_warnings(tile: Tile) -> list[CaptureWarning]:
-    """Warn of photographs in TIFFs with several full pages: which one is read.
+def header_warnings(tile: Tile) -> list[CaptureWarning]:
+    """Warn of what the headers of photographs tell: several pages in a TIFF; JPEGs that say nothing of their curve.
 
     Raises
     ------
@@ -129,14 +129,29 @@ def page_warnings(tile: Tile) -> list[CaptureWarning]:
         warnings.append(
             CaptureWarning(
                 "pages",
-                f"{files[0][1]}{more}: holds {len(pages)} full pages, of which {pages[0]} is read, the first of "
+                f"{files[0][1].name}{more}: holds {len(pages)} full pages, of which {pages[0]} is read, the first of "
                 f"the largest; not read: {names}; export each photograph as a file of one page if another is meant",
                 named,
                 len(pages),
                 "pages",
             )
         )
-    return warnings
+    return warnings + _jpeg_warnings(tile)
+
+
+def _jpeg_warnings(tile: Tile) -> list[CaptureWarning]:
+    """Warn of JPEGs that are taken as linear light for want of a profile."""
+    jpeg = {lamp: path for lamp, path in tile.frames.items() if path.suffix.lower() in (".jpg", ".jpeg")}
+    if not jpeg or tile.encoding.transfer is not None or survey(tile).curve is not None:
+        return []
+    return [
+        CaptureWarning(
+            "jpeg",
+            f"{next(iter(jpeg.values())).name}: a JPEG without a profile is taken as linear light, "
+            "which few are; state encoding: {transfer: srgb} (or linear) in the manifest",
+            tuple(jpeg) if len(jpeg) < len(tile.frames) else (),
+        )
+    ]
 
 
 def grid_of(tile: Tile, info: ImageInfo) -> PixelGrid:

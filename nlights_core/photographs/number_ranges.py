@@ -169,7 +169,7 @@ def _warning(room: Darkroom, members: Sequence[tuple[str, _Seen]]) -> CaptureWar
     others = f" (so {len(lamps) - 1} lamps more)" if len(lamps) > 1 else ""
     return CaptureWarning(
         worst.code,
-        f"{room.paths[lamp]}: {room.subject}.{lamp}{others}: {said}; {remedy}",
+        f"{room.paths[lamp].name}: {room.subject}.{lamp}{others}: {said}; {remedy}",
         lamps,
         worst.number,
     )

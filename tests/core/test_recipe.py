@@ -113,17 +113,30 @@ class Twin(Integrator):
 
 
 def refused(classes: Iterable[object]) -> str:
-    with pytest.raises(PluginError) as fault:
-        Registry([*installed().offers(), *(Offer(cls, "shady", "1.0") for cls in classes)])  # type: ignore[arg-type]
-    return str(fault.value)
+    """What is said of algorithms that cannot be used; all others can be."""
+    registry = Registry([*installed().offers(), *(Offer(cls, "shady", "1.0") for cls in classes)])  # type: ignore[arg-type]
+    assert registry.offers() == installed().offers()
+    assert {plugin.origin for plugin in registry.broken} == {"shady 1.0"}
+    return "\n".join(plugin.why for plugin in registry.broken)
 
 
-def test_what_could_fail_at_night_is_refused_at_start_with_its_distribution():
-    assert "shady 1.0: Half lacks integrate" in refused([Half])
-    assert "shady 1.0: Nameless has no name" in refused([Nameless])
-    assert "shady 1.0: Stray is of no known kind" in refused([Stray])
-    assert "is offered by nlights 0.1.0 and by shady 1.0" in refused([Twin])
-    assert "no subclass of Algorithm" in refused([int])
+def test_what_could_fail_at_night_is_told_at_start_with_its_distribution_and_costs_no_other():
+    said = refused([Half, Nameless, Stray, int])
+    assert "shady 1.0: Half lacks integrate" in said
+    assert "shady 1.0: Nameless has no name" in said
+    assert "shady 1.0: Stray is of no known kind" in said
+    assert "no subclass of Algorithm" in said
+
+
+def test_a_name_that_two_distributions_offer_fails_only_where_it_is_used():
+    registry = Registry([*installed().offers(), Offer(Twin, "shady", "1.0")])
+    assert registry.get("integrator", "frankot-chellappa") is not None
+    with pytest.raises(PluginError, match=r"is offered by nlights 0\.1\.0 and by shady 1\.0; uninstall one"):
+        registry.get("integrator", "simchony")
+    recipe = {"light_model": "measured-poi", "normals": "robust", "integrator": "simchony"}
+    with pytest.raises(RecipeError, match=r"recipe: integrator\.use: integrator: 'simchony' is offered by"):
+        load_recipe(recipe, registry)
+    assert load_recipe({**recipe, "integrator": "frankot-chellappa"}, registry).name == "recipe"
 
 
 def test_every_bundled_algorithm_has_documented_bounded_options():

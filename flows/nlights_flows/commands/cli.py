@@ -131,20 +131,32 @@ def check(
     recipe: RecipeOption = "default",
     stand: StandOption = None,
     root: Root = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print problems and warnings of every tile as JSON, nothing else.")
+    ] = False,
 ) -> None:
-    """Look at a capture before it is digitised: manifest, recipe, every photograph.
+    """Look at a capture before it is digitised: manifest, recipe, every photograph, the lamps.
 
-    Reads every pixel once: sizes, depths, black and saturated frames.  Writes nothing.
+    Says all that `digitise` would refuse, and warns of what is seldom meant.  Reads every pixel
+    once and writes nothing.  Exit codes: 0 all tiles can be digitised; 1 some cannot; 2 none can.
     """
     from nlights_core.manifest import load_capture
     from nlights_core.recipe import load_recipe
     from nlights_flows.tiles import checking, console
 
-    chosen = load_recipe(recipe)
-    tiles = load_capture(artwork, stand=stand, root=root)
+    try:
+        chosen = load_recipe(recipe)
+        tiles = load_capture(artwork, stand=stand, root=root)
+    except NlightsError as fault:
+        if as_json:
+            console.print_findings([checking.of_the_whole(fault)])
+        raise
     with console.progress_bar("reading photographs") as progress:
         findings = checking.check_tiles(tiles, chosen, progress)
-    console.show_findings(findings)
+    if as_json:
+        console.print_findings(findings)
+    else:
+        console.show_findings(findings)
     bad = sum(bool(finding.problems) for finding in findings)
     raise typer.Exit(0 if not bad else 2 if bad == len(findings) else 1)
 
@@ -292,7 +304,22 @@ def main() -> None:
 
 
 def _run() -> int:
-    """Run the command line; explain what is the user's to mend, without a traceback."""
+    """Run the command line; name broken plugins at its end."""
+    try:
+        return _explained()
+    finally:
+        _warn_of_plugins()
+
+
+def _warn_of_plugins() -> None:
+    """Name the plugins that were found to be broken, if this command has looked at any."""
+    registry = sys.modules.get("nlights_core.registry")
+    for plugin in registry.broken_plugins() if registry else ():
+        print(f"warning: a plugin is not used: {plugin.why}", file=sys.stderr)
+
+
+def _explained() -> int:
+    """Explain what is the user's to mend, without a traceback."""
     try:
         code: int = app(standalone_mode=False)
         return _stopped() if code == INTERRUPTED else code  # Typer has swallowed the interrupt

@@ -95,13 +95,17 @@ def check(
 
     Options have their default values.  Exit codes: 0 all kept, 1 some broken.
     """
+    from rich.markup import escape
     from rich.table import Table
 
     from nlights_core.registry import installed
     from nlights_flows.plugin_kit.contracts import choose_offers, run_contract
     from nlights_flows.tiles import console
 
-    offers = choose_offers(installed(), names or [], everything)
+    registry = installed()
+    unusable = [one for one in registry.broken if not names or one.distribution in names]
+    usable = [name for name in names or [] if name not in {one.distribution for one in unusable}]
+    offers = choose_offers(registry, usable, everything) if usable or not names else []
     table = Table(box=None, pad_edge=False)
     for heading in ("slot", "use", "from", "contract"):
         table.add_column(heading, no_wrap=heading != "contract")
@@ -113,9 +117,12 @@ def check(
         broken += bool(found.broken)
         said = "\n".join(found.broken) or found.unchecked or "kept"
         table.add_row(offer.algorithm.slot, offer.algorithm.name, offer.origin, said)
-    if offers:
+    for one in unusable:
+        table.add_row("", "", one.origin, escape(one.why))
+    broken += len(unusable)
+    if table.rows:
         console.show_table(table)
-        print(f"{broken} of {len(offers)} break their contract" if broken else "no contract is broken")
+        print(f"{broken} of {len(table.rows)} break their contract" if broken else "no contract is broken")
     else:
         print("no plugins are installed besides what nLights ships (see them with --all)")
     raise typer.Exit(1 if broken else 0)

@@ -1,24 +1,43 @@
-"""Checking a tile before it is digitised: every photograph read once, nothing written."""
+"""Checking a tile before it is digitised: every photograph read once, the chain's own refusals, nothing kept."""
 
 from __future__ import annotations
 
+import re
 import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from nlights_core.capture import Tile
-from nlights_core.capture_warnings import CaptureWarning
-from nlights_core.errors import NlightsError
+from nlights_core.agreement.examination import examine_photographs
+from nlights_core.capture import Encoding, Tile
+from nlights_core.capture_warnings import CaptureWarning, read_warnings
+from nlights_core.errors import NlightsError, TileError
 from nlights_core.fields import LightField
-from nlights_core.photographs.development import Exposure, bands_of_grid, darkroom
-from nlights_core.photographs.headers import page_warnings, survey
-from nlights_core.photographs.number_ranges import range_warnings
+from nlights_core.photographs.development import Darkroom, Exposure, bands_of_grid, darkroom
+from nlights_core.photographs.headers import grid_of, survey
+from nlights_core.photographs.images import Photograph, probe
+from nlights_core.photographs.masks import mask_size
 from nlights_core.recipe import Recipe
+from nlights_core.store import ArtefactRef, Store, Work
+from nlights_flows.tiles import isolation
+from nlights_flows.tiles.chain import digitise_tile
+from nlights_flows.tiles.explaining import explain_fault
 from nlights_flows.tiles.running import require_memory
+
+MADE = ("lights", "flat_field", "agreement")
+"""Stages that a check really makes: they say whether the lamps are known, the flats can be used and the photographs
+agree, and cost little.
+All others are named only, which reads what their names are made of: the digests of the photographs."""
+
+NOT_MADE = "0" * 64
+"""Key that stands for an artefact which could not even be named."""
+
+ROWS = 256
+"""Of a photograph, that are read at a time where it is read alone."""
 
 
 @dataclass
@@ -33,19 +52,37 @@ class Finding:
     exposures : dict
         By lamp, for the frames.
     notes : list of str
-        Sentences about what is allowed but seldom meant.
-    problems : list of str
-        Sentences; empty when the tile can be digitised.
+        Sentences about what was done with the files, for people only.
     warnings : list of CaptureWarning
         What the photographs show that nobody meant.
+    problems : list of str
+        Sentences, each once; empty when the tile can be digitised.
     """
 
     tile: str
     size: str = ""
     exposures: dict[str, Exposure] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
-    problems: list[str] = field(default_factory=list)
     warnings: list[CaptureWarning] = field(default_factory=list)
+    problems: list[str] = field(default_factory=list)
+
+    def record(self) -> dict[str, Any]:
+        """Plain values, as `nlights check --json` prints them."""
+        return {
+            "tile": self.tile,
+            "problems": self.problems,
+            "warnings": [warning.record() for warning in self.warnings],
+        }
+
+
+def of_the_whole(fault: NlightsError) -> Finding:
+    """Make a finding of a fault that stops every tile: of the manifest, the recipe or the stand's file.
+
+    Its tile is called "", which no tile can be.
+    """
+    return Finding(
+        "", problems=re.split(r"\n(?! )", str(fault))
+    )  # what is indented belongs to the line before
 
 
 def check_tiles(tiles: Sequence[Tile], recipe: Recipe, progress: Callable[[float], None]) -> list[Finding]:
@@ -61,7 +98,9 @@ def check_tiles(tiles: Sequence[Tile], recipe: Recipe, progress: Callable[[float
 
 
 def check_tile(tile: Tile, recipe: Recipe, progress: Callable[[float], None]) -> Finding:
-    """Read every photograph of a tile and see whether a recipe can use it.
+    """Read every photograph of a tile, and let the chain say what it would refuse.
+
+    Each question is asked by itself, so that one problem does not hide another.
 
     Parameters
     ----------
@@ -75,61 +114,141 @@ def check_tile(tile: Tile, recipe: Recipe, progress: Callable[[float], None]) ->
     Finding
     """
     finding = Finding(tile.name)
-    finding.problems += recipe.lacking(tile)
-    finding.warnings += _told(page_warnings, tile)
-    curves = _told(_curves, tile)
-    for curve in curves:
-        finding.notes.append(
-            f"the tone curve of {curve} is undone; if the numbers are linear nevertheless, state encoding: "
-            "{transfer: linear}"
-        )
-    jpeg = [path.name for path in tile.frames.values() if path.suffix.lower() in (".jpg", ".jpeg")]
-    if jpeg and tile.encoding.transfer is None and not curves:
-        finding.notes.append(
-            f"{jpeg[0]}: a JPEG without a profile is taken as linear light, which few are; state encoding: "
-            "{transfer: srgb} (or linear) in the manifest"
-        )
-    sets = [False, True] if tile.flats else [False]
-    for i, flats in enumerate(sets):
+    finding.notes += _curves(tile)
+    lacking = recipe.lacking(tile)
+    finding.problems += lacking
+    with tempfile.TemporaryDirectory(prefix="nlights-check-") as scratch:
+        store = Store(Path(scratch))
+        fit = _headers_fit(tile, recipe, store, finding)
+        flats = bool(tile.flats) and recipe.needs("flats")
+        if fit:
+            for i, which in enumerate((False, True) if flats else (False,)):
 
-        def share(part: float, i: int = i) -> None:
-            progress((i + part) / len(sets))
+                def share(part: float, i: int = i) -> None:
+                    progress(0.9 * (i + part) / (1 + flats))
 
-        try:
-            _read(tile, recipe, flats, finding, share)
-        except (NlightsError, OSError) as fault:
-            if str(fault) not in finding.problems:
-                finding.problems.append(str(fault))
+                _read(tile, which, store, finding, share)
+        made = {} if lacking else _ask_chain(tile, recipe, store, finding, MADE if fit else MADE[:1])
+        if "agreement" in made:
+            finding.warnings += read_warnings(store.path(made["agreement"]))
+        elif fit:  # the lamps are not known: what can be said without is
+
+            def examined() -> None:
+                with store.scratch() as place:
+                    finding.warnings += examine_photographs(tile, None, flats, place)
+
+            _answered(finding, store, examined)
+        progress(1.0)
     return finding
 
 
-def _told(look: Callable[[Tile], list[Any]], tile: Tile) -> list[Any]:
-    """What a look at headers tells; nothing where they cannot be read, for that is told as a problem."""
-    try:
-        return look(tile)
-    except (NlightsError, OSError):
-        return []
-
-
 def _curves(tile: Tile) -> list[str]:
-    """Name of the tone curve that the photographs' profile states, if the capture leaves it to that."""
-    curve = survey(tile).curve
-    return [curve.name] if curve and tile.encoding.transfer in (None, "icc") else []
+    """Sentence on the tone curve of the photographs' profile, if the capture leaves it to that."""
+    try:
+        curve = survey(tile).curve
+    except (NlightsError, OSError):  # told as a problem
+        return []
+    if curve is None or tile.encoding.transfer not in (None, "icc"):
+        return []
+    return [
+        f"the tone curve of {curve.name} is undone; if the numbers are linear nevertheless, state encoding: "
+        "{transfer: linear}"
+    ]
 
 
-def _read(
-    tile: Tile, recipe: Recipe, flats: bool, finding: Finding, progress: Callable[[float], None]
-) -> None:
-    lamps = tile.lamps
+def _answered(finding: Finding, store: Store, ask: Callable[[], object]) -> bool:
+    """Ask, and take down a fault as a problem, each sentence once; tells whether there was none."""
+    try:
+        ask()
+    except (Exception, SystemExit) as fault:  # a plugin may even call sys.exit
+        sentence = explain_fault(fault, store)
+        if sentence not in finding.problems:
+            finding.problems.append(sentence)
+        return False
+    return True
+
+
+def _headers_fit(tile: Tile, recipe: Recipe, store: Store, finding: Finding) -> bool:
+    """Read the headers; tells whether the photographs can be read together."""
+    files = [(path, tile.encoding) for path in (*tile.frames.values(), *(tile.flats or {}).values())]
+    files += [(tile.dark, tile.encoding)] if tile.dark else []
+    # One by one first: a survey ends at the first that it cannot read.
+    asked = [_answered(finding, store, partial(_look_into, store, *file)) for file in dict.fromkeys(files)]
+    if tile.mask:
+        asked.append(_answered(finding, store, partial(mask_size, tile.mask)))
+    if not all(asked) or not _answered(finding, store, partial(survey, tile)):
+        return False
+    info = survey(tile)
+    finding.size = f"{info.columns} x {info.rows} px, {info.channels} x {info.dtype}"
+    _answered(finding, store, partial(require_memory, tile, recipe))
+    return _answered(finding, store, partial(grid_of, tile, info))
+
+
+def _look_into(store: Store, path: Path, encoding: Encoding) -> None:
+    if path.exists():
+        probe(path, encoding)
+    else:
+        store.digest(path)  # which is what ends a tile that lacks a file, in its own words
+
+
+def _read(tile: Tile, flats: bool, store: Store, finding: Finding, progress: Callable[[float], None]) -> None:
+    """Read all frames, or all flats, together as a stage does; where that fails, one by one."""
+    faults: list[TileError] = []
+
+    def together() -> None:
+        with store.scratch() as scratch, darkroom(tile, scratch, flats=flats) as room:
+            _read_together(room, progress)
+            if not flats:
+                finding.exposures = room.exposures
+            faults.extend(room.faults())
+
+    if not _answered(finding, store, together):  # the first bad one hides the others
+        paths = (tile.flats or {}) if flats else tile.frames
+        for path in (*paths.values(), *([tile.dark] if tile.dark else [])):
+            _answered(finding, store, partial(_read_alone, tile, path, store))
+    for fault in faults:
+        if str(fault) not in finding.problems:
+            finding.problems.append(str(fault))
+
+
+def _read_together(room: Darkroom, progress: Callable[[float], None]) -> None:
+    lamps = tuple(room.photographs)
     neutral = LightField(lamps, directions=np.tile([0.0, 0.0, 1.0], (len(lamps), 1)))
-    with tempfile.TemporaryDirectory() as scratch, darkroom(tile, Path(scratch), flats=flats) as room:
-        info, grid = room.info, room.grid
-        finding.size = f"{info.columns} x {info.rows} px, {info.channels} x {info.dtype}"
-        for start, stop in bands_of_grid(grid, len(lamps) * info.channels * 8):
-            room.raw(start, stop, neutral)
-            progress(stop / grid.rows)
-        finding.warnings += range_warnings(room)
-        if not flats:
-            finding.exposures = room.exposures
-            require_memory(tile, recipe)
-        room.check()
+    for start, stop in bands_of_grid(room.grid, len(lamps) * room.info.channels * 8):
+        room.raw(start, stop, neutral)
+        progress(stop / room.grid.rows)
+
+
+def _read_alone(tile: Tile, path: Path, store: Store) -> None:
+    with store.scratch() as scratch, Photograph(path, tile.encoding, scratch) as photograph:
+        rows = photograph.info.rows
+        for start in range(0, rows, ROWS):
+            photograph.band(start, min(start + ROWS, rows))
+
+
+def _ask_chain(
+    tile: Tile, recipe: Recipe, store: Store, finding: Finding, made: Sequence[str]
+) -> dict[str, ArtefactRef]:
+    """Go through the chain as `nlights digitise` does, past every fault; only these stages are ``made``.
+
+    Returns what was made, by stage.
+    """
+    there: dict[str, ArtefactRef] = {}
+
+    def call(stage: Callable[..., Work], tile: Tile, *arguments: Any) -> ArtefactRef:
+        ref = ArtefactRef(stage.__name__, tile.artwork, tile.name, NOT_MADE)
+
+        def named() -> None:
+            nonlocal ref
+            work = stage(store, tile, *arguments)
+            ref = work.ref
+            inputs = [argument for argument in arguments if isinstance(argument, ArtefactRef)]
+            if stage.__name__ in made and all(store.has(one) for one in inputs):
+                isolation.ensure(store, work, tile, arguments)
+                there[ref.stage] = ref
+
+        _answered(finding, store, named)
+        return ref
+
+    digitise_tile(tile, recipe, call)
+    return there

@@ -13,6 +13,7 @@ from types import TracebackType
 from typing import Any
 
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
@@ -192,20 +193,28 @@ def show_findings(findings: Sequence[Finding]) -> None:
         for note in finding.notes:
             complain(f"{finding.tile}: note: {note}")
         for warning in finding.warnings:
-            complain(f"{finding.tile}: warning: {warning.sentence}")
+            lamps = f" ({', '.join(warning.lamps)})" if warning.lamps else ""
+            complain(f"{finding.tile}: warning: {warning.code}{lamps}: {warning.sentence}")
         for problem in finding.problems:
             complain(f"{finding.tile}: {problem}")
         print(f"{finding.tile}: {'cannot be digitised' if finding.problems else 'can be digitised'}")
 
 
+def print_findings(findings: Sequence[Finding]) -> None:
+    """Print what a check found as JSON, for programs."""
+    print(json.dumps({"tiles": [finding.record() for finding in findings]}, indent=1))
+
+
 def show_plugins(registry: Registry) -> None:
-    """Print every algorithm with its slot, origin and first sentence."""
+    """Print every algorithm with its slot, origin and first sentence, and every plugin that is broken."""
     table = Table(box=None, pad_edge=False)
     for heading in ("slot", "use", "from", "what it does"):
         table.add_column(heading, no_wrap=heading != "what it does")
     for offer in registry.offers():
         sentence = (offer.algorithm.__doc__ or "").strip().split("\n")[0]
         table.add_row(offer.algorithm.slot, offer.algorithm.name, offer.origin, sentence)
+    for plugin in registry.broken:
+        table.add_row("broken", "", plugin.origin, escape(plugin.why))
     _wide().print(table)
 
 

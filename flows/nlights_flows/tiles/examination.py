@@ -50,10 +50,12 @@ def _version(name: str) -> str:
 
 def _plugins() -> str:
     try:
-        offers = installed().offers()
+        found = installed()
     except NlightsError as fault:
         return str(fault)
-    return f"{len(offers)} algorithms of {', '.join(sorted({offer.origin for offer in offers}))}"
+    offers = found.offers()
+    said = f"{len(offers)} algorithms of {', '.join(sorted({offer.origin for offer in offers}))}"
+    return "; ".join([said, *(f"broken: {plugin.why}" for plugin in found.broken)])
 
 
 def _memory() -> str:

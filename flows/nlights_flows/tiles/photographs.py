@@ -64,9 +64,8 @@ class Photographs:
         TileError
             Naming the photographs that changed; the artefacts that were made meanwhile are gone from the store.
         """
-        flats = any("flats" in algorithm.needs for algorithm in recipe.algorithms())
         paths = [
-            *((tile.flats or {}).values() if flats else ()),
+            *((tile.flats or {}).values() if recipe.needs("flats") else ()),
             *(path for path in (tile.dark, tile.mask) if path),
         ]
         paths += tile.frames.values()
