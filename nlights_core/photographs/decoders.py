@@ -25,6 +25,7 @@ from PIL.TgaImagePlugin import TgaImageFile
 
 from nlights_core.errors import TileError
 from nlights_core.frames import Array
+from nlights_core.names.photographs import did_you_mean
 
 # tifffile logs what it mends silently; each such fault that could change a pixel is an error here.
 logging.getLogger("tifffile").setLevel(logging.CRITICAL)
@@ -135,7 +136,9 @@ def open_decoder(path: Path) -> Decoder:
         Where there is no such file, or it is of no readable format, or it is damaged.
     """
     if not path.exists():
-        raise TileError(f"{path}: no such file; correct the path in the capture's manifest or restore it")
+        raise TileError(
+            f"{path}: no such file; correct the path in the capture's manifest or restore it{did_you_mean(path)}"
+        )
     if not path.is_file():
         raise TileError(f"{path}: a folder, where a photograph is expected; name the file itself")
     with path.open("rb") as file:

@@ -69,6 +69,7 @@ def _shown(record: NightRecord, out: Path) -> dict[str, Any]:
             for a in artworks
             if any(t["state"] in ("left", "claimed elsewhere") for t in a["tiles"])
         ],
+        "noted": [(a, t) for a in artworks for t in a["tiles"] if t["notes"]],
         "waiting": [a for a in artworks if a["state"] == "waiting"],
         "tonight": [a for a in artworks if a["tiles"] and a["state"] != "unchanged"],
         "before": [a for a in artworks if a["state"] == "unchanged"],
@@ -142,7 +143,8 @@ def mood(data: Mapping[str, Any]) -> str:
     if "failed" in states or "fail" in verdicts:
         return "bad"
     unfinished = states & {"left", "waiting", "claimed elsewhere"}
-    return "open" if unfinished or "warn" in verdicts or moved(data) else "good"
+    noted = any(tile["notes"] for artwork in data["artworks"] for tile in artwork["tiles"])
+    return "open" if unfinished or noted or "warn" in verdicts or moved(data) else "good"
 
 
 def moved(data: Mapping[str, Any]) -> list[tuple[str, dict[str, Any]]]:

@@ -50,6 +50,8 @@ class TileEntry:
         The worst of them.
     products : str or None
         Folder of the products, relative to OUT.
+    notes : list of str
+        What was done and may not be expected: products of other photographs that were kept.
     measured : dict or None
         What the trends follow: "stand", "flats" (digest of the flat set), "numbers" (by name).
     """
@@ -62,6 +64,7 @@ class TileEntry:
     numbers: list[dict[str, Any]] = field(default_factory=list)
     verdict: str | None = None
     products: str | None = None
+    notes: list[str] = field(default_factory=list)
     measured: dict[str, Any] | None = None
 
 

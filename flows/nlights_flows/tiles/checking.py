@@ -69,6 +69,7 @@ def check_tile(tile: Tile, recipe: Recipe, progress: Callable[[float], None]) ->
     """
     finding = Finding(tile.name)
     finding.problems += recipe.lacking(tile)
+    finding.notes += [warning.sentence for warning in tile.warnings]
     jpeg = [path.name for path in tile.frames.values() if path.suffix.lower() in (".jpg", ".jpeg")]
     if jpeg and "transfer" not in tile.encoding.model_fields_set:
         finding.notes.append(
