@@ -50,7 +50,7 @@ def folder_of(artwork: str) -> str:
 
 
 def fault_of(artwork: str) -> str | None:
-    """What is wrong with an inventory number, as the rest of a sentence; None where nothing is."""
+    """Fault of an inventory number, as the rest of a sentence; None where it has none."""
     if not artwork.strip():
         return "is empty; write the inventory number"
     bad = next((letter for letter in artwork if unicodedata.category(letter) in ("Cc", "Cs", "Zl", "Zp")), "")

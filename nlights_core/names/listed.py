@@ -82,7 +82,7 @@ def _stem(name: str) -> str:
 
 
 def _likeness(listed: tuple[str, ...], wanted: tuple[str, ...]) -> tuple[int, int]:
-    """How well a line fits a photograph: folders that agree, then how much of the name does."""
+    """Likeness of a line and a photograph: folders that agree, then how much of the name does."""
     folders = 0
     for one, other in zip(listed[1:], wanted[1:], strict=False):
         if one != other:

@@ -216,7 +216,7 @@ def _value(values: Mapping[str, str], hole: re.Match[str]) -> str:
 
 
 def _kin(name: str) -> str:
-    """What names have in common that may be meant for each other."""
+    """Key that names have in common which may be meant for each other."""
     path = PurePath(composed(name).casefold())
     return path.stem + next((same[0] for same in SPELLINGS if path.suffix in same), path.suffix)
 

@@ -124,10 +124,8 @@ def test_products_with_a_photograph_in_common_are_replaced(painting, tmp_path, p
     assert [path.name for path in target.parent.iterdir()] == [tile.name]
 
 
-@pytest.mark.parametrize(("stands", "places"), [("", ["b"]), ("b", ["b"])], ids=["nothing", "the new ones"])
-def test_a_run_that_was_killed_while_it_replaced_products_of_others_lost_nothing(
-    painting, tmp_path, stands, places
-):
+@pytest.mark.parametrize("stands", ["", "b"], ids=["nothing", "the new ones"])
+def test_a_run_that_was_killed_while_it_replaced_products_of_others_lost_nothing(painting, tmp_path, stands):
     (tile,) = load_capture(painting)
     store, out = Store(tmp_path / "store"), tmp_path / "out"
     target = publish(store, tile, refs_of(store, tile, "a", "pqr"), out).folder
