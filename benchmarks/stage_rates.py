@@ -61,7 +61,7 @@ def normals_rate(capture: Path, store: Path, name: str, rounds: int = 3) -> floa
     offer = installed().get("normals", name)
     assert offer is not None
     solver = offer.algorithm()
-    own, flats = store / tile.artwork / tile.name, store / tile.artwork / FLATS
+    own, flats = store / tile.folder / tile.name, store / tile.folder / FLATS
     flat_field, overview = (
         next(folder.glob(f"{stage}-*")) for folder, stage in ((flats, "flat_field"), (own, "overview"))
     )
@@ -86,7 +86,7 @@ def integration_ratio(capture: Path, store: Path, rounds: int = 3) -> float:
     tile = load_capture(capture)[0]
     offer = installed().get("integrator", "simchony")
     assert offer is not None
-    source = next((store / tile.artwork / tile.name).glob("normals-*"))
+    source = next((store / tile.folder / tile.name).glob("normals-*"))
     normals, confidence = (np.array(read_array(source / f"{name}.npy")) for name in ("normals", "confidence"))
     field = NormalField(normals, grid_of(tile, survey(tile)), confidence)
     ratios = []

@@ -8,6 +8,8 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field
 
+from nlights_core.capture_warnings import CaptureWarning
+from nlights_core.names.artworks import folder_of
 from nlights_core.stands import Positive, Record, Stand
 
 GAMMAS = (0.2, 5.0)
@@ -82,7 +84,7 @@ class GivenLights(Record):
 class Tile(Record):
     """One placement of the stand over an artwork: the unit of work, of caching and of failure."""
 
-    artwork: str = Field(description="inventory number: a plain name")
+    artwork: str = Field(description="inventory number, as it was written")
     title: str = ""
     name: str = Field(description="a plain name, unique in the artwork")
     origin_mm: tuple[float, float] = Field(
@@ -101,6 +103,14 @@ class Tile(Record):
     encoding: Encoding = Encoding()
     sensor: Sensor | None = None
     white_reflectance: float = Field(default=0.9, gt=0, le=1, description="albedo of the flat")
+    warnings: tuple[CaptureWarning, ...] = Field(
+        default=(), description="what the names of its photographs show that nobody may have meant"
+    )
+
+    @property
+    def folder(self) -> str:
+        """Name of the artwork's folder, in the products and in the store."""
+        return folder_of(self.artwork)
 
     @property
     def lamps(self) -> tuple[str, ...]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -11,6 +11,7 @@ from pydantic import BaseModel, ValidationError
 
 from nlights_core.errors import NlightsError, StandError
 from nlights_core.machine.regular_files import irregular_kind
+from nlights_core.names.photographs import did_you_mean
 from nlights_core.stands import Stand
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -58,6 +59,12 @@ def find(what: str, kind: str, error: type[NlightsError], base: Path | None = No
     return path
 
 
+_NO_TEXT = frozenset(
+    f"tag:yaml.org,2002:{kind}" for kind in ("bool", "float", "int", "merge", "null", "timestamp", "value")
+)
+"""What YAML takes some words for, such as ``no``, ``0012`` and ``2024-05-01``, unless they are in quotes."""
+
+
 class _Loader(yaml.SafeLoader):
     """Safe YAML without aliases (they can explode) and without doubled keys."""
 
@@ -74,7 +81,7 @@ class _Loader(yaml.SafeLoader):
 
     def construct_mapping(self, node: Any, deep: bool = False) -> Any:
         seen = set()
-        for key, _ in node.value:
+        for key, _ in node.value:  # a lamp may be called 1, or no
             if not isinstance(key, yaml.ScalarNode):
                 raise yaml.MarkedYAMLError(
                     problem="a field's name should be plain text", problem_mark=key.start_mark
@@ -84,10 +91,49 @@ class _Loader(yaml.SafeLoader):
                     problem=f"the key '{key.value}' stands twice", problem_mark=key.start_mark
                 )
             seen.add(key.value)
+            if key.tag in _NO_TEXT:
+                key.tag = "tag:yaml.org,2002:str"
         return super().construct_mapping(node, deep)
 
 
 _Loader.add_constructor(None, _Loader.construct_undefined)
+
+
+def _take_as_text(node: Any, location: tuple[str | None, ...], written: str) -> None:
+    """Take plain values for the text that was written.
+
+    Raises
+    ------
+    MarkedYAMLError
+        Where a ``#`` with no space behind it ends the text: YAML would leave the rest out.
+    """
+    if not location:
+        if isinstance(node, yaml.ScalarNode) and node.style is None and node.value and node.tag in _NO_TEXT:
+            node.tag = "tag:yaml.org,2002:str"
+        if isinstance(node, yaml.ScalarNode) and node.style is None:
+            rest = written[node.end_mark.index :].split("\n")[0].lstrip()
+            if rest.startswith("#") and rest[1:2].strip(" \t#-=") and node.value:
+                raise yaml.MarkedYAMLError(
+                    problem=f"'{rest.strip()}' is a comment to YAML, not a part of the text before it; put the text "
+                    f"in quotes ('{node.value} {rest.strip()}'), or write a space behind #",
+                    problem_mark=node.start_mark,
+                )
+    elif location[0] is None and isinstance(node, yaml.SequenceNode):
+        for entry in node.value:
+            _take_as_text(entry, location[1:], written)
+    elif isinstance(node, yaml.MappingNode):
+        for key, value in node.value:
+            if key.value == location[0]:
+                _take_as_text(value, location[1:], written)
+
+
+def _constructed(text: str, node: Any) -> Any:
+    """Plain values of a composed document."""
+    loader = _Loader(text)
+    try:
+        return None if node is None else loader.construct_document(node)
+    finally:
+        loader.dispose()
 
 
 class Source:
@@ -99,9 +145,14 @@ class Source:
         The file.
     error : type
         What to raise, naming the file and the line.
+    texts : sequence of locations
+        Fields whose value is the text that was written, as ``("artwork", "id")``, whatever YAML takes it for;
+        None stands for every entry of a list.
     """
 
-    def __init__(self, path: Path, error: type[NlightsError]) -> None:
+    def __init__(
+        self, path: Path, error: type[NlightsError], texts: Sequence[tuple[str | None, ...]] = ()
+    ) -> None:
         self.path, self.error = path, error
         try:
             if kind := irregular_kind(path):
@@ -110,16 +161,21 @@ class Source:
                 raise error(f"{path}: larger than {LARGEST >> 20} MiB, which no file of this kind is")
             text = path.read_text(encoding="utf-8")
             self._node = yaml.compose(text, _Loader)
-            self.data: Any = yaml.load(text, _Loader)
+            for location in texts:
+                _take_as_text(self._node, location, text)
+            self.data: Any = _constructed(text, self._node)
         except OSError as fault:
             raise error(
-                f"{path}: cannot be read ({fault.strerror}); check the path and its permissions"
+                f"{path}: cannot be read ({fault.strerror}); check the path and its permissions{did_you_mean(path)}"
             ) from fault
         except UnicodeDecodeError as fault:
             raise error(f"{path}: is not text in UTF-8; save it as UTF-8") from fault
         except yaml.MarkedYAMLError as fault:
             line = fault.problem_mark.line + 1 if fault.problem_mark else 1
-            raise error(f"{path}:{line}: not valid YAML here: {fault.problem or fault.context}") from fault
+            hint = "; put text with ': ' in it in quotes" if "mapping values" in str(fault.problem) else ""
+            raise error(
+                f"{path}:{line}: not valid YAML here: {fault.problem or fault.context}{hint}"
+            ) from fault
         except (yaml.YAMLError, RecursionError, ValueError) as fault:
             raise error(f"{path}: not valid YAML: {str(fault).splitlines()[0]}") from fault
         if not isinstance(self.data, dict):

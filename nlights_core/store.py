@@ -31,6 +31,8 @@ from nlights_core.errors import CaptureError, TileError
 from nlights_core.machine.progress import Progress
 from nlights_core.machine.regular_files import irregular_kind
 from nlights_core.machine.sources import EVERYTHING_RESTS_ON, digests_of_places
+from nlights_core.names.artworks import folder_of
+from nlights_core.names.photographs import did_you_mean
 from nlights_core.registry import code_digest, installed, is_bundled
 
 RECORD = "artefact.json"
@@ -62,7 +64,7 @@ class ArtefactRef:
     @property
     def folder(self) -> str:
         """Path of the folder, relative to the store."""
-        return f"{self.artwork}/{self.tile}/{self.stage}-{self.key[:12]}"
+        return f"{folder_of(self.artwork)}/{self.tile}/{self.stage}-{self.key[:12]}"
 
 
 @dataclass(frozen=True)
@@ -193,9 +195,11 @@ class Store:
             try:
                 return self._digest(path, stopped)
             except OSError as fault:
-                reason = "there is no such file" if isinstance(fault, FileNotFoundError) else fault.strerror
+                missing = isinstance(fault, FileNotFoundError)
+                reason = "there is no such file" if missing else fault.strerror
                 raise TileError(
                     f"{path}: cannot be read ({reason}); put the photograph there or correct its name"
+                    + (did_you_mean(path) if missing else "")
                 ) from fault
 
     def _digest(self, path: Path, stopped: Callable[[], bool]) -> str:

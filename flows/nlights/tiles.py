@@ -52,6 +52,8 @@ class TileResult:
         Why it failed.
     seconds : float
         How long it took.
+    notes : tuple of str
+        Sentences about what was done and may not be expected.
 
     Notes
     -----
@@ -65,6 +67,7 @@ class TileResult:
     folder: Path | None = None
     message: str = ""
     seconds: float = 0.0
+    notes: tuple[str, ...] = ()
 
     @property
     def failed(self) -> bool:
@@ -271,4 +274,6 @@ def digitise(
 
 def _result(found: Outcome) -> TileResult:
     message = in_python(found.message)
-    return TileResult(found.artwork, found.tile, found.state, found.folder, message, found.seconds)
+    return TileResult(
+        found.artwork, found.tile, found.state, found.folder, message, found.seconds, found.notes
+    )

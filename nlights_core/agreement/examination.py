@@ -51,7 +51,7 @@ def examine_photographs(
     TileError
         When a photograph is missing, cannot be read, or does not fit the others.
     """
-    told = header_warnings(tile)
+    told = [*tile.warnings, *header_warnings(tile)]
     for which in (False, True) if flats and tile.flats else (False,):
         with darkroom(tile, scratch, flats=which) as room:
             told += range_warnings(room)

@@ -28,6 +28,7 @@ from PIL.TiffImagePlugin import TiffImageFile
 from nlights_core.errors import TileError
 from nlights_core.frames import Array
 from nlights_core.machine.regular_files import irregular_kind
+from nlights_core.names.photographs import did_you_mean
 from nlights_core.photographs import camera_raws
 from nlights_core.photographs.tiff_pages import described, full_pages
 
@@ -149,7 +150,9 @@ def open_decoder(path: Path, mask: bool = False) -> Decoder:
         Where there is no such file, or it is of no readable format, or it is damaged.
     """
     if not path.exists():
-        raise TileError(f"{path}: no such file; correct the path in the capture's manifest or restore it")
+        raise TileError(
+            f"{path}: no such file; correct the path in the capture's manifest or restore it{did_you_mean(path)}"
+        )
     if kind := irregular_kind(path):
         raise TileError(f"{path}: {kind}, where a photograph is expected; name the file itself")
     with path.open("rb") as file:

@@ -30,6 +30,7 @@ def agreement(store: Store, tile: Tile, lights: ArtefactRef, flats: bool) -> Wor
         "flats": [path.name for path in tile.flats.values()] if flats and tile.flats else None,
         "dark": tile.dark.name if tile.dark else None,
     }
+    facts["told"] = [warning.record() for warning in tile.warnings]
     facts["white_reflectance"] = tile.white_reflectance
     facts["stand"] = tile.stand.model_dump(mode="json", exclude={"source"}) if tile.stand else None
     ref, record = describe(

@@ -14,6 +14,7 @@ from nlights_core.errors import TileError
 from nlights_core.frames import Array
 from nlights_core.lamps.strengths import refine_by_photographs
 from nlights_core.machine.progress import Progress
+from nlights_core.names.listed import FOLDERS
 from nlights_core.photographs.images import Photograph, probe, reduce_photograph
 from nlights_core.photographs.masks import Mask
 from nlights_core.stages.inputs import facts_of_photographs, write_json
@@ -45,7 +46,10 @@ def lights(store: Store, tile: Tile, model: LightModel) -> Work:
             for name in ("directions", "intensities")
             if tile.lights and (path := getattr(tile.lights, name))
         },
-        "names": [path.name for path in tile.frames.values()] if tile.lights else None,
+        # A list of lights may name photographs, with the folders that tell them apart.
+        "names": ["/".join(path.parts[-1 - FOLDERS :]) for path in tile.frames.values()]
+        if tile.lights
+        else None,
         "encoding": tile.encoding.model_dump(mode="json") if tile.spheres else None,
     }
     if model.refine:

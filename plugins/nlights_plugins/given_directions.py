@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from pathlib import Path, PureWindowsPath
+from collections.abc import Sequence
+from pathlib import Path
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -13,6 +14,7 @@ from nlights_core.errors import TileError
 from nlights_core.fields import LightField
 from nlights_core.frames import Array
 from nlights_core.machine.regular_files import irregular_kind
+from nlights_core.names.listed import match_listed
 
 
 class GivenDirections(LightModel):
@@ -20,7 +22,8 @@ class GivenDirections(LightModel):
 
     Reads the directions of RTI domes (``.lp``), of PSBox (a column per light), of DiLiGenT (a
     row per light) and of the University of Washington (a count, then a row per light).  x is to
-    the right, y up, z towards the camera.
+    the right, y up, z towards the camera.  Where a file names photographs, each light goes to the
+    photograph of that name, whatever its extension.
     """
 
     name: ClassVar[str] = "given-directions"
@@ -104,7 +107,13 @@ def read_directions(path: Path) -> Listed:
         if len(rows) != count or not count:
             raise TileError(f"{path}: the first line says {count} lights, but {len(rows)} lines follow")
         matrix = _numbers(path, [row[-3:] for row in rows])
-        if rows and all(len(row) == 4 for row in rows):
+        named = [len(row) == 4 for row in rows]
+        if any(named) and not all(named):
+            raise TileError(
+                f"{path}: light {named.index(not named[0]) + 1} has {'no' if named[0] else 'a'} name, unlike those "
+                "before it; name the photographs of all lights, or of none"
+            )
+        if all(named):
             names = tuple(row[0] for row in rows)
     else:
         matrix = _numbers(path, [line.split() for line in lines])
@@ -162,27 +171,36 @@ def read_intensities(path: Path, count: int) -> Array:
 
 
 def _order(tile: Tile, listed: Listed) -> list[int]:
-    """Index in the file of each frame's light: by file name where they match, else as listed."""
-    wanted = [path.name.casefold() for path in tile.frames.values()]
-    # An .lp file often keeps the folders of the computer on which it was made.
-    names = [PureWindowsPath(name).name.casefold() for name in listed.names or ()]
-    doubled = sorted({name for name in wanted if names.count(name) > 1})
-    if doubled:
-        raise TileError(f"{listed.path}: more than one line names {', '.join(doubled)}; keep one")
-    missing = [name for name in wanted if name not in names]
-    if not missing:
-        return [names.index(name) for name in wanted]
-    if len(missing) < len(wanted):
+    """Index in the file of each frame's light: by the names in it, as listed where it has none."""
+    frames = list(tile.frames.values())
+    if listed.names is None:
+        if len(listed.directions) != len(frames):
+            raise TileError(
+                f"{listed.path}: {len(listed.directions)} lights, but tile {tile.name} has {len(frames)} frames; "
+                "list one light per frame"
+            )
+        return list(range(len(frames)))
+    matched = match_listed(listed.names, frames)
+    if matched.doubtful:
         raise TileError(
-            f"{listed.path}: names some of the frames of tile {tile.name} but not {', '.join(missing)}; "
-            "name all of them, or none and list the lights in the order of the frames"
+            f"{listed.path}: {'; '.join(matched.doubtful[:3])}; write the folders of both, or keep one line for each"
         )
-    if len(listed.directions) != len(wanted):
+    missing = [path.name for path, line in zip(frames, matched.lines, strict=True) if line is None]
+    if len(missing) == len(frames):
         raise TileError(
-            f"{listed.path}: {len(listed.directions)} lights, but tile {tile.name} has {len(wanted)} frames; "
-            "list one light per frame"
+            f"{listed.path}: names {_few(listed.names)}, and none of them is a frame of tile {tile.name} "
+            f"({_few(missing)}); correct the names, or remove them all and list the lights in the order of the frames"
         )
-    return list(range(len(wanted)))
+    if missing:
+        raise TileError(
+            f"{listed.path}: names some of the frames of tile {tile.name} but not {_few(missing, 8)}; add a line for "
+            "each, or leave those frames out of artwork.yaml"
+        )
+    return [line for line in matched.lines if line is not None]
+
+
+def _few(names: Sequence[str], most: int = 3) -> str:
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
 
 
 def _lines(path: Path) -> list[str]:

@@ -101,7 +101,7 @@ def test_a_fault_is_told_with_field_found_and_allowed(tmp_path, text, words):
 def test_every_fault_is_told_at_once(tmp_path):
     said = refused(
         tmp_path,
-        "artwork: {id: a/b}\nstand: horizontal\nframes:\n" + EIGHT + "dark: ../x\nmask: ../y\n",
+        "artwork: {id: ''}\nstand: horizontal\nframes:\n" + EIGHT + "dark: ../x\nmask: ../y\n",
     )
     assert len(said.splitlines()) == 3
 

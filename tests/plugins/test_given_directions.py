@@ -67,13 +67,55 @@ def test_an_lp_file_may_hold_more_lights_than_the_tile_has_frames(locate):
     np.testing.assert_allclose(field.directions, FOUR[[2, 0]])
 
 
-def test_an_lp_file_with_other_names_is_taken_in_order(locate):
-    np.testing.assert_allclose(locate(LP).directions, FOUR[[1, 0, 3, 2]])
+def test_an_lp_file_of_exports_is_matched_without_extension_capitals_and_ways_of_writing_accents(locate):
+    lp = "3\nD:\\Export\\Pru\u0308fung 2.JPG 0 0.6 0.8\n/a b/prüfung 1.jpeg 3 0 4\nprüfung 3 -0.6 0 0.8\n"
+    field = locate(lp, frames=("Prüfung 1.tif", "prüfung 2.CR2", "pru\u0308fung 3.tiff"))
+    np.testing.assert_allclose(field.directions, FOUR[[0, 1, 2]])
 
 
-def test_an_lp_file_that_names_only_some_frames_is_refused(locate):
-    with pytest.raises(TileError, match=r"names some of the frames of tile t but not 7\.tif"):
-        locate(LP, frames=("shot 1.jpg", "shot 2.jpg", "shot 3.jpg", "7.tif"))
+def test_names_that_end_in_a_number_and_have_no_extension_are_told_apart(locate):
+    lp = "3\ngray.2 0 0.6 0.8\ngray.0 3 0 4\ngray.1 -0.6 0 0.8\n"
+    field = locate(lp, frames=("gray.0.tga", "gray.1.tga", "gray.2.tga"))
+    np.testing.assert_allclose(field.directions, FOUR[[0, 2, 1]])
+
+
+def test_photographs_of_one_name_are_told_apart_by_their_folders(locate):
+    lp = "4\nx\\b\\1.jpg 0 0.6 0.8\nx\\a\\1.jpg 3 0 4\nx\\a\\2.jpg -0.6 0 0.8\nx\\b\\2.jpg 0 -0.6 0.8\n"
+    field = locate(lp, frames=("c/a/1.tif", "c/b/1.tif", "c/a/2.tif", "c/b/2.tif"))
+    np.testing.assert_allclose(field.directions, FOUR)
+
+
+def test_the_line_with_the_very_extension_goes_before_that_of_an_export(locate):
+    lp = "4\n1.jpg 0 0.6 0.8\n1.tif 3 0 4\n2.tif -0.6 0 0.8\n3.tif 0 -0.6 0.8\n"
+    np.testing.assert_allclose(locate(lp, frames=("1.tif", "2.tif", "3.tif")).directions, FOUR[[0, 2, 3]])
+
+
+@pytest.mark.parametrize(
+    ("lp", "frames", "words"),
+    [
+        (LP, ("1.tif", "2.tif", "3.tif", "4.tif"), r"none of them is a frame of tile t \(1\.tif, 2\.tif"),
+        (
+            LP,
+            ("shot 1.jpg", "shot 2.jpg", "shot 3.jpg", "7.tif"),
+            r"some of the frames of tile t but not 7\.tif",
+        ),
+        (
+            "3\n1.jpg 0 0 1\n1.png 0 1 1\n2.jpg 1 0 1\n",
+            ("1.tif", "2.tif"),
+            "1.jpg and 1.png may both mean 1.tif",
+        ),
+        (
+            "2\n1.jpg 0 0 1\n2.jpg 0 1 1\n",
+            ("a/1.tif", "b/1.tif", "a/2.tif"),
+            "1.jpg may mean a/1.tif and b/1.tif",
+        ),
+        ("3\n1.jpg 0 0 1\n0 1 1\n2.jpg 1 0 1\n", ("1.tif", "2.tif"), "light 2 has no name"),
+    ],
+    ids=["none fits", "some fit", "two lines", "two photographs", "names of some"],
+)
+def test_names_that_leave_a_doubt_are_refused_and_never_taken_in_order(locate, lp, frames, words):
+    with pytest.raises(TileError, match=words):
+        locate(lp, frames=frames)
 
 
 def test_intensities_follow_the_order_of_the_directions_file(locate):

@@ -123,6 +123,8 @@ def _show(record: dict[str, Any], out: Path) -> None:
         for tile in artwork["tiles"]:
             if tile["message"]:
                 console.complain(f"{name}/{tile['tile']}: {tile['state']}: {tile['message']}")
+            for note in tile["notes"]:
+                console.complain(f"{name}/{tile['tile']}: note: {note}")
     print(f"{record['verdict']}; {record['seconds']:.1f} s")
     print(out / "night.html")
 

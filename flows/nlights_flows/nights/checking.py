@@ -31,7 +31,7 @@ def in_store(tile: Tile, recipe: Recipe, store: Store, compression: str) -> dict
     -------
     dict or None
     """
-    pattern = f"{glob.escape(tile.artwork)}/{glob.escape(tile.name)}/report-*"
+    pattern = f"{glob.escape(tile.folder)}/{glob.escape(tile.name)}/report-*"
     if not any(store.root.glob(pattern)):
         return None  # the photographs need not be read to know
 

@@ -16,6 +16,8 @@ from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 
+from nlights_core.names.artworks import folder_of
+
 TOUCHED = 5.0
 """Seconds after which a held claim is touched again."""
 
@@ -54,7 +56,7 @@ class Claims:
 
     def take(self, artwork: str, tile: str) -> bool:
         """Claim a tile; False when somebody else is at it."""
-        path = self.folder / artwork / tile
+        path = self._path(artwork, tile)
         path.parent.mkdir(parents=True, exist_ok=True)
         if self.taken(artwork, tile) or not (self._create(path)):
             return False
@@ -64,11 +66,11 @@ class Claims:
 
     def give_back(self, artwork: str, tile: str) -> None:
         """Give a claim back; nothing happens when it is not held."""
-        self._give_back(self.folder / artwork / tile)
+        self._give_back(self._path(artwork, tile))
 
     def taken(self, artwork: str, tile: str) -> bool:
         """Test whether somebody else is at a tile.  A stale claim is cleared away."""
-        path = self.folder / artwork / tile
+        path = self._path(artwork, tile)
         try:
             claimed = path.stat()
             idle = self._now(path.parent) - claimed.st_mtime
@@ -83,10 +85,13 @@ class Claims:
     def holder(self, artwork: str, tile: str) -> str:
         """Name who is at a tile, for people."""
         try:
-            claim = json.loads((self.folder / artwork / tile).read_text(encoding="utf-8"))
+            claim = json.loads(self._path(artwork, tile).read_text(encoding="utf-8"))
             return f"process {claim['process']} on {claim['machine']}"
         except (OSError, ValueError, KeyError, TypeError):
             return "another run"
+
+    def _path(self, artwork: str, tile: str) -> Path:
+        return self.folder / folder_of(artwork) / tile
 
     def _create(self, path: Path) -> bool:
         claim = {"machine": socket.gethostname(), "process": os.getpid(), "run": self.run}

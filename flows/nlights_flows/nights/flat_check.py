@@ -75,8 +75,8 @@ def flat_check(
     if not state.is_completed():
         return Failed(message=f"the flat could not be measured: {state.message}")
     checks = Path(out) / "flat-checks"
-    record = check_flat(tile, Path(out) / tile.artwork / tile.name, last_check(checks, tile), limits)
-    name = f"{tile.artwork}-{record['time'].replace(':', '')}.json"
+    record = check_flat(tile, Path(out) / tile.folder / tile.name, last_check(checks, tile), limits)
+    name = f"{tile.folder}-{record['time'].replace(':', '')}.json"
     write_whole(checks / name, json.dumps(record, indent=1) + "\n")
     _logger().info(record["sentence"])
     return (Failed if record["faults"] else Completed)(message=record["sentence"])

@@ -9,9 +9,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from nlights_core.capture import Tile
-from nlights_core.configurations import Source
 from nlights_core.errors import CaptureError, NlightsError
-from nlights_core.manifest import Manifest, load_capture
+from nlights_core.manifest import load_capture, read_manifest
+from nlights_core.names.artworks import folder_of
+from nlights_core.names.photographs import is_hidden
 from nlights_core.photographs.decoders import RAW_EXTENSIONS
 
 MANIFEST = "artwork.yaml"
@@ -141,7 +142,7 @@ def require_inbox(inbox: Path) -> Path:
 def _folders(folder: Path, root: Path, found: Inbox, skipped: set[Path], depth: int = 2) -> Iterator[Path]:
     """Folders of an inbox, resolved, each once; not those inside an artwork's."""
     try:
-        inside = sorted(path for path in folder.iterdir() if path.is_dir() and not path.name.startswith("."))
+        inside = sorted(path for path in folder.iterdir() if path.is_dir() and not is_hidden(path.name))
     except OSError as fault:
         found.passed_by.append(
             PassedBy(folder, f"cannot be read ({fault.strerror}); see its permissions", True)
@@ -173,7 +174,7 @@ def _add(folder: Path, root: Path, settle: float, found: Inbox) -> None:
             raise CaptureError(
                 f"{manifest}: is a link that leads out of the inbox; put the manifest itself here"
             )
-        read = Source(manifest, CaptureError).check(Manifest)
+        _, read = read_manifest(manifest)
         artwork = read.artwork.id
         tiles = tuple(load_capture(manifest, root=root))
         _require_free_name(artwork, manifest, found)
@@ -194,7 +195,7 @@ def _require_free_name(artwork: str, manifest: Path, found: Inbox) -> None:
             f"{manifest}: artwork.id: '{artwork}' is the name of the folder of all nights; give the artwork another"
         )
     for other in found.ready:
-        if other.artwork.casefold() == artwork.casefold():
+        if folder_of(other.artwork).casefold() == folder_of(artwork).casefold():
             raise CaptureError(
                 f"{manifest}: artwork.id: '{artwork}' is also the id of {other.folder / MANIFEST}; correct one of "
                 "them, or join their tiles in one manifest"
@@ -248,7 +249,9 @@ def photographs_of(tile: Tile) -> list[Path]:
 
 def _has_photographs(folder: Path) -> bool:
     try:
-        return any(path.suffix.lower() in PHOTOGRAPHS for path in folder.iterdir())
+        return any(
+            path.suffix.lower() in PHOTOGRAPHS and not is_hidden(path.name) for path in folder.iterdir()
+        )
     except OSError:
         return False
 

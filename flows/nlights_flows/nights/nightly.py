@@ -88,7 +88,8 @@ def nightly(
 def run_as_subflow(batch: Batch, around: Around) -> None:
     """Run an artwork's tiles as a flow run that has the artwork's inventory number as its name."""
     options = replace(batch.night.options, tiles=tuple(tile.name for tile in batch.tiles))
-    named = digitise.with_options(flow_run_name=batch.artwork)
+    # Prefect fills in what stands in braces.
+    named = digitise.with_options(flow_run_name=batch.artwork.replace("{", "{{").replace("}", "}}"))
     with each_tile_through(around):
         state: Any = named(artwork=str(batch.manifest), **options.plain(), return_state=True)
     if isinstance(state.data, BaseException):  # not a tile's fault: that is among the outcomes
@@ -117,6 +118,7 @@ def artifact(record: Mapping[str, Any]) -> str:
             data = thumbnail(out / products, out, draw=False)
             picture = f"![]({data})" if data else ""
         messages = [artwork["message"], *(tile["message"] for tile in artwork["tiles"])]
+        messages += [note for tile in artwork["tiles"] for note in tile["notes"]]
         told = next((message for message in messages if message), "")
         name = " ".join(filter(None, (artwork["artwork"] or artwork["folder"], artwork["title"])))
         done = sum(tile["state"] in ("done", "unchanged") for tile in artwork["tiles"])

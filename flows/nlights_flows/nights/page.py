@@ -70,6 +70,7 @@ def _shown(record: NightRecord, out: Path) -> dict[str, Any]:
             for a in artworks
             if any(t["state"] in ("left", "claimed elsewhere") for t in a["tiles"])
         ],
+        "noted": [(a, t) for a in artworks for t in a["tiles"] if t["notes"]],
         "waiting": [a for a in artworks if a["state"] == "waiting"],
         "tonight": [a for a in artworks if a["tiles"] and a["state"] != "unchanged"],
         "before": [a for a in artworks if a["state"] == "unchanged"],
@@ -154,7 +155,10 @@ def mood(data: Mapping[str, Any]) -> str:
     if "failed" in states or "fail" in verdicts:
         return "bad"
     unfinished = states & {"left", "waiting", "claimed elsewhere"}
-    return "open" if unfinished or "warn" in verdicts or doubts(data["artworks"]) or moved(data) else "good"
+    artworks = data["artworks"]
+    noted = any(tile["notes"] for artwork in artworks for tile in artwork["tiles"])
+    watched = unfinished or noted or "warn" in verdicts or doubts(artworks) or moved(data)
+    return "open" if watched else "good"
 
 
 def moved(data: Mapping[str, Any]) -> list[tuple[str, dict[str, Any]]]:

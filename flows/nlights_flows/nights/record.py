@@ -52,6 +52,8 @@ class TileEntry:
         About the capture, see `nlights_core.capture_warnings`.
     products : str or None
         Folder of the products, relative to OUT.
+    notes : list of str
+        What was done and may not be expected: products of other photographs that were kept.
     measured : dict or None
         What the trends follow: "stand", "flats" (digest of the flat set), "numbers" (by name).
     """
@@ -65,6 +67,7 @@ class TileEntry:
     verdict: str | None = None
     warnings: list[dict[str, Any]] = field(default_factory=list)
     products: str | None = None
+    notes: list[str] = field(default_factory=list)
     measured: dict[str, Any] | None = None
 
 

@@ -15,6 +15,7 @@ from functools import partial
 from nlights_core.capture import Tile
 from nlights_core.capture_warnings import read_warnings
 from nlights_core.errors import NlightsError
+from nlights_core.names.artworks import require_own_folder
 from nlights_core.products.publishing import publish
 from nlights_flows.nights.checking import in_store, require_usable
 from nlights_flows.nights.claims import Claims
@@ -187,9 +188,10 @@ class Night:
         )
         for tile, one in zip(candidate.tiles, entry.tiles, strict=True):
             self._tiles[tile.artwork, tile.name] = one
-            if self._already_done(tile):
-                continue
             try:
+                require_own_folder(tile.artwork, self.night.order.options.out)
+                if self._already_done(tile):
+                    continue
                 one.megapixels = require_usable(tile, self.night.recipe) / 1e6
             except NlightsError as fault:
                 self._take_down(Outcome(tile.artwork, tile.name, "failed", None, str(fault)))
@@ -217,11 +219,13 @@ class Night:
             return False
         started = time.monotonic()
         try:
-            folder = publish(store, tile, refs, order.options.out)
+            published = publish(store, tile, refs, order.options.out)
         except OSError:  # somebody deletes artefacts: running the tile makes them again, or says why not
             return False
         took = time.monotonic() - started
-        self._take_down(Outcome(tile.artwork, tile.name, "unchanged", folder, "", took))
+        self._take_down(
+            Outcome(tile.artwork, tile.name, "unchanged", published.folder, "", took, published.notes)
+        )
         return True
 
     def _run(self, candidate: Candidate, entry: ArtworkEntry) -> None:
@@ -289,7 +293,7 @@ class Night:
         """Enter what became of a tile."""
         with self._lock:
             one = self._tiles[outcome.artwork, outcome.tile]
-            one.state, one.message = outcome.state, outcome.message
+            one.state, one.message, one.notes = outcome.state, outcome.message, list(outcome.notes)
             one.seconds = round(outcome.seconds, 2)
             if outcome.folder is not None:
                 one.products = outcome.folder.relative_to(self.night.order.options.out).as_posix()

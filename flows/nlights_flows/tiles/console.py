@@ -144,6 +144,8 @@ def show_outcomes(outcomes: Sequence[Outcome]) -> None:
         else:
             said = "unchanged" if outcome.state == "unchanged" else f"done in {outcome.seconds:.1f} s"
             print(f"{name}: {said}: {outcome.folder}/report.html")
+            for note in outcome.notes:
+                complain(f"{name}: note: {note}")
             for warning in warnings_of(outcome):
                 complain(f"{name}: warning: {warning}")
     failed = sum(outcome.state == "failed" for outcome in outcomes)
@@ -168,7 +170,7 @@ def show_facts(facts: Sequence[tuple[str, str]]) -> None:
 
 def show_plan(tile: Tile, plan: Sequence[Step]) -> None:
     """Print the stages of a tile."""
-    table = Table(title=f"{tile.artwork}/{tile.name}", title_justify="left", box=None, pad_edge=False)
+    table = Table(title=escape(f"{tile.artwork}/{tile.name}"), title_justify="left", box=None, pad_edge=False)
     for heading in ("stage", "artefact", "", "why"):
         table.add_column(heading, no_wrap=heading != "why")
     for step in plan:
@@ -187,7 +189,7 @@ def show_findings(findings: Sequence[Finding]) -> None:
         for lamp, exposure in finding.exposures.items():
             count = max(exposure.pixels, 1)
             table.add_row(
-                lamp, f"{100 * exposure.total / count:.2f}", f"{100 * exposure.saturated / count:.3f}"
+                escape(lamp), f"{100 * exposure.total / count:.2f}", f"{100 * exposure.saturated / count:.3f}"
             )
         _wide().print(table)
         for note in finding.notes:
@@ -234,7 +236,7 @@ def show_numbers(folders: Sequence[Path]) -> None:
     """
     tiles: list[Path] = []
     for folder in folders:
-        found = sorted(path.parent for path in folder.glob("**/quality.json") if ".store" not in path.parts)
+        found = sorted(path.parent for path in folder.glob("**/quality.json") if _is_product(path, folder))
         if not found:
             raise CaptureError(
                 f"{folder}: holds no products (no quality.json); give an output folder of digitise"
@@ -249,10 +251,15 @@ def show_numbers(folders: Sequence[Path]) -> None:
     names = dict.fromkeys((row["group"], row["name"], row["unit"]) for rows in numbers for row in rows)
     by_name = [{(row["group"], row["name"], row["unit"]): row for row in rows} for rows in numbers]
     for name in names:
-        table.add_row(*name, *(_value(rows.get(name)) for rows in by_name))
+        table.add_row(*map(escape, name), *(_value(rows.get(name)) for rows in by_name))
     _wide().print(table)
     for tile in tiles:
         print(tile / "report.html")
+
+
+def _is_product(path: Path, folder: Path) -> bool:
+    """Test whether a file is not among artefacts, drafts, or products that are kept of other photographs."""
+    return not any(part.startswith(".") for part in path.relative_to(folder).parts)
 
 
 def _value(row: dict[str, Any] | None) -> str:

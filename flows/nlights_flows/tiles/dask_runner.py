@@ -249,7 +249,10 @@ def _sent(tile: Tile, job: dict[str, Any], send: Send) -> Outcome:
         )
         return Outcome(tile.artwork, tile.name, "failed", None, message, time.monotonic() - started)
     folder = Path(answer["folder"]) if answer["folder"] else None
-    return Outcome(tile.artwork, tile.name, answer["state"], folder, answer["message"], answer["seconds"])
+    notes = tuple(answer["notes"])
+    return Outcome(
+        tile.artwork, tile.name, answer["state"], folder, answer["message"], answer["seconds"], notes
+    )
 
 
 def run_job(job: dict[str, Any]) -> dict[str, Any]:
@@ -263,7 +266,7 @@ def run_job(job: dict[str, Any]) -> dict[str, Any]:
     Returns
     -------
     dict
-        "state", "folder", "message" and "seconds" of the `Outcome`, as JSON.
+        "state", "folder", "message", "seconds" and "notes" of the `Outcome`, as JSON.
     """
     with _one_tile:
         tile = Tile.model_validate(job["tile"])
@@ -273,7 +276,7 @@ def run_job(job: dict[str, Any]) -> dict[str, Any]:
             recipe = _recipe(job["recipe"]["name"], job["recipe"]["text"])
             _require_same_code(job["code"], recipe)
         except NlightsError as fault:
-            return {"state": "failed", "folder": None, "message": str(fault), "seconds": 0.0}
+            return {"state": "failed", "folder": None, "message": str(fault), "seconds": 0.0, "notes": []}
         with allowed(_memory(options)):
             outcome = run_directly(tile, recipe, options, lambda tile, stage, share: None)
     folder = str(outcome.folder) if outcome.folder else None
@@ -282,6 +285,7 @@ def run_job(job: dict[str, Any]) -> dict[str, Any]:
         "folder": folder,
         "message": outcome.message,
         "seconds": outcome.seconds,
+        "notes": list(outcome.notes),
     }
 
 

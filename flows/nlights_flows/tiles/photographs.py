@@ -138,7 +138,7 @@ def _artefacts(store: Store, tile: Tile) -> set[Path]:
     return {
         folder
         for name in (tile.name, FLATS)
-        if (place := store.root / tile.artwork / name).is_dir()
+        if (place := store.root / tile.folder / name).is_dir()
         for folder in place.iterdir()
         if not folder.name.startswith(".")
     }

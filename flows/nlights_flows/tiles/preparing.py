@@ -8,6 +8,7 @@ from pathlib import Path
 from nlights_core.capture import Tile
 from nlights_core.errors import CaptureError
 from nlights_core.manifest import load_capture
+from nlights_core.names.artworks import require_own_folder
 from nlights_core.recipe import Recipe, RecipeLike, load_recipe
 from nlights_core.store import make_writable
 from nlights_flows.tiles.run_options import RunOptions
@@ -35,6 +36,7 @@ def prepare_run(
     chosen = load_recipe(options.recipe if recipe is None else recipe)
     found = load_capture(artwork, stand=options.stand, root=options.root)
     require_named(found, options.tiles, str(artwork))
+    require_own_folder(found[0].artwork, options.out)
     tiles = [tile for tile in found if not options.tiles or tile.name in options.tiles]
     lacking = [chosen.lacking(tile) for tile in tiles]
     if all(lacking):

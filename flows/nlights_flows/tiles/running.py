@@ -11,8 +11,9 @@ from typing import Any, Literal
 from nlights_core.capture import Tile
 from nlights_core.errors import NlightsError, TileError
 from nlights_core.memory import ANY_TILE, require
+from nlights_core.names.artworks import require_own_folder
 from nlights_core.photographs.headers import survey
-from nlights_core.products.publishing import publish
+from nlights_core.products.publishing import Published, publish
 from nlights_core.recipe import Recipe
 from nlights_core.store import ArtefactRef, Work
 from nlights_flows.tiles import isolation
@@ -39,6 +40,8 @@ class Outcome:
         Why it failed, for people.
     seconds : float
         How long it took.
+    notes : tuple of str
+        Sentences about what was done and may not be expected.
     """
 
     artwork: str
@@ -47,6 +50,7 @@ class Outcome:
     folder: Path | None = None
     message: str = ""
     seconds: float = 0.0
+    notes: tuple[str, ...] = ()
 
 
 Around = Callable[[Tile, Callable[[], Outcome]], Outcome | None]
@@ -67,7 +71,7 @@ def exit_code(outcomes: Iterable[Outcome]) -> int:
     return 2 if all(states) else 1
 
 
-def run_tile(tile: Tile, recipe: Recipe, options: RunOptions, call: Callable[..., Any]) -> Path:
+def run_tile(tile: Tile, recipe: Recipe, options: RunOptions, call: Callable[..., Any]) -> Published:
     """Run the chain for a tile and publish its products.
 
     Parameters
@@ -81,11 +85,12 @@ def run_tile(tile: Tile, recipe: Recipe, options: RunOptions, call: Callable[...
 
     Returns
     -------
-    Path
-        The folder of the products.
+    Published
+        The folder of the products, and what was there before.
     """
     if lacking := recipe.lacking(tile):
         raise TileError("; ".join(lacking))
+    require_own_folder(tile.artwork, options.out)
     require_memory(tile, recipe)
     store = options.artefacts
     with Photographs.watched(tile, recipe, store):
@@ -154,12 +159,13 @@ def attempt(tile: Tile, recipe: Recipe, options: RunOptions, ensure: Ensure) -> 
             made.append(ref.stage)
         return ref
 
-    folder, message = None, ""
+    published, message = None, ""
     state: Literal["done", "unchanged", "failed"] = "failed"
     try:
         with compiled_beside(recipe):
-            folder = run_tile(tile, recipe, options, call)
+            published = run_tile(tile, recipe, options, call)
         state = "done" if made else "unchanged"
     except (Exception, SystemExit) as fault:  # a plugin may even call sys.exit
         message = explain_fault(fault, options.artefacts)
-    return Outcome(tile.artwork, tile.name, state, folder, message, time.monotonic() - started)
+    folder, notes = (published.folder, published.notes) if published else (None, ())
+    return Outcome(tile.artwork, tile.name, state, folder, message, time.monotonic() - started, notes)

@@ -1,0 +1,1 @@
+"""Names that people and file systems give to things: photographs, lists of them, and artworks."""
