@@ -43,9 +43,11 @@ def write_report(
     from nlights_core.report.page import write_report as write_html
 
     made = {name: store.path(ref) for name, ref in refs.items() if ref is not None}
-    normals, height = refs["normals"], refs["height"]
+    records = _records(store, refs)
+    normals, height, agreement = refs["normals"], refs["height"], refs["agreement"]
     assert normals is not None
     assert height is not None
+    assert agreement is not None
     maps = open_maps(store, normals, height, refs["trend"])
     maps["measured"] = maps["normals"]
     for name in ("albedo", "reflection", "normals", "confidence"):
@@ -84,7 +86,9 @@ def write_report(
         if height.stage == "level":
             numbers += quality.of_level(read_level(store.path(height)))
         numbers = quality.grouped(numbers)
-        warnings = _warnings(read_warnings(made["agreement"]), numbers)
+        places = [store.root / place for place in records if place != agreement.folder]
+        others = [warning for place in places for warning in read_warnings(place)]
+        warnings = _warnings(read_warnings(made["agreement"]), others, numbers)
         write_html(folder / "report.html", said, drawing.result(), numbers, warnings)
     write_warnings(folder, warnings)
     provenance = {
@@ -97,7 +101,7 @@ def write_report(
         "recipe": record["facts"]["recipe"],
         "stand": record["facts"]["stand"],
         "photographs": {lamp: path.name for lamp, path in tile.frames.items()},
-        "stages": _lineage(store, refs),
+        "stages": list(records.values()),
     }
     _write_json(folder / "quality.json", [asdict(number) for number in numbers])
     _write_json(folder / "provenance.json", provenance)
@@ -138,18 +142,24 @@ FIRST = "Mend what stands above first; if this stays: "
 """Beginning of what numbers warn of where photographs do not agree: most of it has the same cause."""
 
 
-def _warnings(photographs: list[CaptureWarning], numbers: Sequence[Number]) -> list[CaptureWarning]:
-    """Warnings of the photographs about themselves, then of the numbers made of them."""
+def _warnings(
+    photographs: list[CaptureWarning], algorithms: list[CaptureWarning], numbers: Sequence[Number]
+) -> list[CaptureWarning]:
+    """Warnings of the photographs about themselves, then of algorithms, then of the numbers that were made."""
     before = FIRST if photographs else ""
-    return photographs + [
-        CaptureWarning(number.code, before + number.warning, (), number.value, number.unit)
-        for number in numbers
-        if number.warning
-    ]
+    return (
+        photographs
+        + algorithms
+        + [
+            CaptureWarning(number.code, before + number.warning, (), number.value, number.unit)
+            for number in numbers
+            if number.warning
+        ]
+    )
 
 
-def _lineage(store: Store, refs: Mapping[str, ArtefactRef | None]) -> list[dict[str, Any]]:
-    """Records of all artefacts behind some, each once, causes first, without times and places."""
+def _records(store: Store, refs: Mapping[str, ArtefactRef | None]) -> dict[str, dict[str, Any]]:
+    """Records of all artefacts behind some by their folders, each once, causes first, without times and places."""
     found: dict[str, dict[str, Any]] = {}
 
     def visit(folder: str) -> None:
@@ -158,12 +168,12 @@ def _lineage(store: Store, refs: Mapping[str, ArtefactRef | None]) -> list[dict[
             visit(cause)
         for name in ("seconds", "files"):
             record.pop(name)
-        found.setdefault(record["key"], record)
+        found.setdefault(folder, record)
 
     for ref in refs.values():
         if ref is not None:
             visit(ref.folder)
-    return list(found.values())
+    return found
 
 
 def _write_json(path: Path, value: Any) -> None:
