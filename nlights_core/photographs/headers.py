@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 from nlights_core.capture import Tile
-from nlights_core.capture_warnings import CaptureWarning
 from nlights_core.errors import TileError
 from nlights_core.frames import PixelGrid
 from nlights_core.photographs.images import ImageInfo, probe
@@ -106,37 +105,6 @@ def _difference(what: str, kinds: dict[str, str], paths: dict[str, Path]) -> str
 
 def _listed(names: list[str]) -> str:
     return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
-
-
-def page_warnings(tile: Tile) -> list[CaptureWarning]:
-    """Warn of photographs in TIFFs with several full pages: which one is read.
-
-    Raises
-    ------
-    TileError
-        As `survey` does.
-    """
-    found: dict[tuple[str, ...], list[tuple[str, Path]]] = {}
-    for lamps in (tile.frames, tile.flats or {}, {"": tile.dark} if tile.dark else {}):
-        for lamp, path in lamps.items():
-            if pages := probe(path, tile.encoding).pages:
-                found.setdefault(pages, []).append((lamp, path))
-    warnings = []
-    for pages, files in found.items():
-        more = f" and {len(files) - 1} more" if len(files) > 1 else ""
-        names = f"{', '.join(pages[1:4])}{' and more' if len(pages) > 4 else ''}"
-        named = tuple(dict.fromkeys(lamp for lamp, _ in files if lamp))
-        warnings.append(
-            CaptureWarning(
-                "pages",
-                f"{files[0][1]}{more}: holds {len(pages)} full pages, of which {pages[0]} is read, the first of "
-                f"the largest; not read: {names}; export each photograph as a file of one page if another is meant",
-                named,
-                len(pages),
-                "pages",
-            )
-        )
-    return warnings
 
 
 def grid_of(tile: Tile, info: ImageInfo) -> PixelGrid:

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from nlights_core.agreement.file_headers import header_warnings
+from nlights_core.agreement.number_ranges import range_warnings
 from nlights_core.capture import Tile
 from nlights_core.capture_warnings import CaptureWarning
 from nlights_core.errors import NlightsError
 from nlights_core.fields import LightField
 from nlights_core.photographs.development import Exposure, bands_of_grid, darkroom
-from nlights_core.photographs.headers import page_warnings, survey
-from nlights_core.photographs.number_ranges import range_warnings
 from nlights_core.recipe import Recipe
 from nlights_flows.tiles.running import require_memory
 
@@ -32,20 +32,17 @@ class Finding:
         Size and depth of the photographs.
     exposures : dict
         By lamp, for the frames.
-    notes : list of str
-        Sentences about what is allowed but seldom meant.
+    warnings : list of CaptureWarning
+        What is allowed but seldom meant.
     problems : list of str
         Sentences; empty when the tile can be digitised.
-    warnings : list of CaptureWarning
-        What the photographs show that nobody meant.
     """
 
     tile: str
     size: str = ""
     exposures: dict[str, Exposure] = field(default_factory=dict)
-    notes: list[str] = field(default_factory=list)
-    problems: list[str] = field(default_factory=list)
     warnings: list[CaptureWarning] = field(default_factory=list)
+    problems: list[str] = field(default_factory=list)
 
 
 def check_tiles(tiles: Sequence[Tile], recipe: Recipe, progress: Callable[[float], None]) -> list[Finding]:
@@ -76,19 +73,8 @@ def check_tile(tile: Tile, recipe: Recipe, progress: Callable[[float], None]) ->
     """
     finding = Finding(tile.name)
     finding.problems += recipe.lacking(tile)
-    finding.warnings += _told(page_warnings, tile)
-    curves = _told(_curves, tile)
-    for curve in curves:
-        finding.notes.append(
-            f"the tone curve of {curve} is undone; if the numbers are linear nevertheless, state encoding: "
-            "{transfer: linear}"
-        )
-    jpeg = [path.name for path in tile.frames.values() if path.suffix.lower() in (".jpg", ".jpeg")]
-    if jpeg and tile.encoding.transfer is None and not curves:
-        finding.notes.append(
-            f"{jpeg[0]}: a JPEG without a profile is taken as linear light, which few are; state encoding: "
-            "{transfer: srgb} (or linear) in the manifest"
-        )
+    with suppress(NlightsError, OSError):  # of a file that cannot be read, a problem tells
+        finding.warnings += header_warnings(tile)
     sets = [False, True] if tile.flats else [False]
     for i, flats in enumerate(sets):
 
@@ -101,20 +87,6 @@ def check_tile(tile: Tile, recipe: Recipe, progress: Callable[[float], None]) ->
             if str(fault) not in finding.problems:
                 finding.problems.append(str(fault))
     return finding
-
-
-def _told(look: Callable[[Tile], list[Any]], tile: Tile) -> list[Any]:
-    """What a look at headers tells; nothing where they cannot be read, for that is told as a problem."""
-    try:
-        return look(tile)
-    except (NlightsError, OSError):
-        return []
-
-
-def _curves(tile: Tile) -> list[str]:
-    """Name of the tone curve that the photographs' profile states, if the capture leaves it to that."""
-    curve = survey(tile).curve
-    return [curve.name] if curve and tile.encoding.transfer in (None, "icc") else []
 
 
 def _read(

@@ -191,8 +191,6 @@ def show_findings(findings: Sequence[Finding]) -> None:
                 lamp, f"{100 * exposure.total / count:.2f}", f"{100 * exposure.saturated / count:.3f}"
             )
         _wide().print(table)
-        for note in finding.notes:
-            complain(f"{finding.tile}: note: {note}")
         for warning in finding.warnings:
             complain(f"{finding.tile}: warning: {warning.sentence}")
         for problem in finding.problems:
