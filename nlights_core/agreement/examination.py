@@ -10,14 +10,14 @@ from collections.abc import Callable
 from pathlib import Path
 
 from nlights_core.agreement.comparisons import compare_photographs
+from nlights_core.agreement.file_headers import header_warnings
+from nlights_core.agreement.number_ranges import range_warnings
 from nlights_core.agreement.predictions import compare_with_predictions
 from nlights_core.agreement.samples import sample_photographs
 from nlights_core.capture import Tile
 from nlights_core.capture_warnings import CaptureWarning
 from nlights_core.fields import LightField
 from nlights_core.photographs.development import darkroom
-from nlights_core.photographs.headers import header_warnings
-from nlights_core.photographs.number_ranges import range_warnings
 
 
 def examine_photographs(

@@ -113,7 +113,7 @@ def _means(
 
 
 def _any_inside(mask: Mask, shape: tuple[int, int], block: int, rows: int) -> Array:
-    """Where the mask has any pixel of a block, (h, w) bool, in as many rows of it as `_means` looks at."""
+    """Mark where the mask has any pixel of a block, (h, w) bool, in as many rows of it as `_means` looks at."""
     lines = min(rows, block)
     inside = np.empty(shape, bool)
     for row in range(shape[0]):

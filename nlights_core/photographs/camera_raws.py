@@ -1,12 +1,21 @@
-"""Camera raw files: what is wrong with one, where LibRaw does not say it."""
+"""Camera raw files: LibRaw develops them, and what it does not say of a fault is said here."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+import numpy as np
 import tifffile
 
 from nlights_core.errors import TileError
+from nlights_core.frames import Array
+from nlights_core.photographs.decoding import Decoder
+
+if TYPE_CHECKING:
+    import rawpy
 
 LEAST_BYTES = 1 / 8
 """Bytes that a pixel takes at the least: packed numbers take 1 and more, and what is coded without loss, number
@@ -22,7 +31,52 @@ _MOSAICS = (32803, 34892)
 """PhotometricInterpretation of a colour filter array, and of linear raw."""
 
 
-def check_size(path: Path, pixels: int) -> None:
+def open_raw(path: Path) -> Decoder:
+    """Open a camera raw file, which is developed linearly and alike for every frame."""
+    with _explained(path) as raw:
+        sizes = raw.sizes
+        rows, columns, channels = sizes.height, sizes.width, raw.num_colors
+    _check_size(path, sizes.raw_height * sizes.raw_width)
+    if channels not in (1, 3):
+        raise TileError(f"{path}: its sensor has {channels} colours; develop it to an RGB TIFF, linearly")
+
+    def decode(start: int, stop: int) -> Array:
+        import rawpy
+
+        with _explained(path) as raw:
+            numbers: Array = raw.postprocess(
+                # The same linear interpolation in every frame: one that follows edges would choose
+                # other neighbours under another lamp, and the ratios between lamps are the measurement.
+                demosaic_algorithm=rawpy.DemosaicAlgorithm.LINEAR,
+                user_wb=[1, 1, 1, 1],
+                output_color=rawpy.ColorSpace.raw,
+                output_bps=16,
+                gamma=(1, 1),
+                no_auto_bright=True,
+                # 0: else the white level follows the brightest pixel of each frame.
+                adjust_maximum_thr=0.0,
+                # 0: how the camera was held must not turn one frame against the others.
+                user_flip=0,
+            )
+        return numbers.reshape(rows, columns, channels)[start:stop]
+
+    return Decoder(rows, columns, channels, np.dtype(np.uint16), None, step=rows, decode=decode)
+
+
+@contextmanager
+def _explained(path: Path) -> Iterator[rawpy.RawPy]:
+    """Open a camera raw file; what LibRaw says of one that it cannot read is often not the reason."""
+    import rawpy
+
+    try:
+        with rawpy.imread(str(path)) as raw:
+            yield raw
+    except rawpy.LibRawError:
+        _explain_compression(path)
+        raise
+
+
+def _check_size(path: Path, pixels: int) -> None:
     """Refuse a raw file that cannot hold its picture: a header alone, or cut short.
 
     LibRaw fills up what is missing in many formats, without a word.
@@ -55,7 +109,7 @@ def check_size(path: Path, pixels: int) -> None:
         )
 
 
-def explain_compression(path: Path) -> None:
+def _explain_compression(path: Path) -> None:
     """Say of a DNG that its compression is the trouble, where it is; LibRaw calls the file damaged.
 
     Raises

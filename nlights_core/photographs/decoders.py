@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import imagecodecs
 import numpy as np
@@ -29,11 +28,9 @@ from nlights_core.errors import TileError
 from nlights_core.frames import Array
 from nlights_core.machine.regular_files import irregular_kind
 from nlights_core.names.photographs import did_you_mean
-from nlights_core.photographs import camera_raws
+from nlights_core.photographs.camera_raws import open_raw
+from nlights_core.photographs.decoding import Decoder, explain_damage
 from nlights_core.photographs.tiff_pages import described, full_pages
-
-if TYPE_CHECKING:
-    import rawpy
 
 # tifffile logs what it mends silently; each such fault that could change a pixel is an error here.
 logging.getLogger("tifffile").setLevel(logging.CRITICAL)
@@ -55,69 +52,6 @@ MOST_PIXELS = 10**9
 _TIFF_STARTS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _PNG_START = b"\x89PNG\r\n\x1a\n"
 _TIFF_ADVICE = "export it as a grey or RGB TIFF of 8, 16 or 32 bits, unsigned or float"
-
-
-@dataclass(frozen=True)
-class Decoder:
-    """An open photograph file.
-
-    Parameters
-    ----------
-    rows, columns, channels : int
-        Size of the image; channels are 1 or 3, without alpha.
-    dtype : numpy.dtype
-        uint8, uint16, uint32 or float32 (to which other floats are converted), native order.
-    icc : bytes or None
-        The embedded ICC profile.
-    step : int
-        Rows that can only be decoded together: a row of compressed strips or tiles, or the whole
-        image.  1: any rows can be had alone.
-    decode : callable
-        ``decode(start, stop)`` gives rows as (stop - start, columns, channels) numbers, in any
-        byte order; ``start`` is a multiple of ``step``, ``stop`` too or the end of the image.
-    close : callable
-        Closes the file.
-    fill : callable or None
-        ``fill(start, stop, out)`` reads rows right into a contiguous array (stop - start, columns,
-        channels) of ``dtype``, where the file holds them so.
-    pages : tuple of str
-        Of a TIFF with several full pages, what each is; the one that is read first.
-    """
-
-    rows: int
-    columns: int
-    channels: int
-    dtype: np.dtype[np.generic]
-    icc: bytes | None
-    step: int
-    decode: Callable[[int, int], Array]
-    close: Callable[[], None] = lambda: None
-    fill: Callable[[int, int, Array], None] | None = None
-    pages: tuple[str, ...] = ()
-
-
-@contextmanager
-def explain_damage(path: Path) -> Iterator[None]:
-    """Turn whatever a decoder raises about a damaged file into one sentence.
-
-    Raises
-    ------
-    TileError
-        Names the file and what its decoder said.  Failures of the system (`OSError` with a
-        number: disk, network) and of memory pass unchanged, for a retry may mend them.
-    """
-    try:
-        yield
-    except (TileError, MemoryError):
-        raise
-    except Exception as fault:
-        if isinstance(fault, OSError) and fault.errno is not None:
-            raise
-        found = str(fault) or type(fault).__name__
-        raise TileError(
-            f"{path}: damaged or incomplete, its decoder says '{found}'; copy it again from the camera "
-            "or export it anew"
-        ) from fault
 
 
 def is_raw(path: Path) -> bool:
@@ -174,7 +108,7 @@ def open_decoder(path: Path, mask: bool = False) -> Decoder:
 def _decoder_for(start: bytes, path: Path, mask: bool) -> Callable[[Path], Decoder]:
     """Choose the format from a file's first 8 bytes, or from its name."""
     if is_raw(path):
-        return _open_raw
+        return open_raw
     if start[:4] in _TIFF_STARTS:
         return partial(_open_tiff, mask=mask)
     if start == _PNG_START:
@@ -396,48 +330,3 @@ def _check_jpeg_end(path: Path) -> None:
     coded = path.read_bytes()
     if coded.endswith(b"\0\0") and not coded.rstrip(b"\0").endswith(b"\xff\xd9"):
         raise TileError(f"{path}: its end is only zeros, an interrupted copy; copy it again from the camera")
-
-
-def _open_raw(path: Path) -> Decoder:
-    """Open a camera raw file, which is developed linearly and alike for every frame."""
-    with _explained(path) as raw:
-        sizes = raw.sizes
-        rows, columns, channels = sizes.height, sizes.width, raw.num_colors
-    camera_raws.check_size(path, sizes.raw_height * sizes.raw_width)
-    if channels not in (1, 3):
-        raise TileError(f"{path}: its sensor has {channels} colours; develop it to an RGB TIFF, linearly")
-
-    def decode(start: int, stop: int) -> Array:
-        import rawpy
-
-        with _explained(path) as raw:
-            numbers: Array = raw.postprocess(
-                # The same linear interpolation in every frame: one that follows edges would choose
-                # other neighbours under another lamp, and the ratios between lamps are the measurement.
-                demosaic_algorithm=rawpy.DemosaicAlgorithm.LINEAR,
-                user_wb=[1, 1, 1, 1],
-                output_color=rawpy.ColorSpace.raw,
-                output_bps=16,
-                gamma=(1, 1),
-                no_auto_bright=True,
-                # 0: else the white level follows the brightest pixel of each frame.
-                adjust_maximum_thr=0.0,
-                # 0: how the camera was held must not turn one frame against the others.
-                user_flip=0,
-            )
-        return numbers.reshape(rows, columns, channels)[start:stop]
-
-    return Decoder(rows, columns, channels, np.dtype(np.uint16), None, step=rows, decode=decode)
-
-
-@contextmanager
-def _explained(path: Path) -> Iterator[rawpy.RawPy]:
-    """Open a camera raw file; what LibRaw says of one that it cannot read is often not the reason."""
-    import rawpy
-
-    try:
-        with rawpy.imread(str(path)) as raw:
-            yield raw
-    except rawpy.LibRawError:
-        camera_raws.explain_compression(path)
-        raise

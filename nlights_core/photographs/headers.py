@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 from nlights_core.capture import Tile
-from nlights_core.capture_warnings import CaptureWarning
 from nlights_core.errors import TileError
 from nlights_core.frames import PixelGrid
 from nlights_core.photographs.images import ImageInfo, probe
@@ -106,52 +105,6 @@ def _difference(what: str, kinds: dict[str, str], paths: dict[str, Path]) -> str
 
 def _listed(names: list[str]) -> str:
     return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
-
-
-def header_warnings(tile: Tile) -> list[CaptureWarning]:
-    """Warn of what the headers of photographs tell: several pages in a TIFF; JPEGs that say nothing of their curve.
-
-    Raises
-    ------
-    TileError
-        As `survey` does.
-    """
-    found: dict[tuple[str, ...], list[tuple[str, Path]]] = {}
-    for lamps in (tile.frames, tile.flats or {}, {"": tile.dark} if tile.dark else {}):
-        for lamp, path in lamps.items():
-            if pages := probe(path, tile.encoding).pages:
-                found.setdefault(pages, []).append((lamp, path))
-    warnings = []
-    for pages, files in found.items():
-        more = f" and {len(files) - 1} more" if len(files) > 1 else ""
-        names = f"{', '.join(pages[1:4])}{' and more' if len(pages) > 4 else ''}"
-        named = tuple(dict.fromkeys(lamp for lamp, _ in files if lamp))
-        warnings.append(
-            CaptureWarning(
-                "pages",
-                f"{files[0][1].name}{more}: holds {len(pages)} full pages, of which {pages[0]} is read, the first of "
-                f"the largest; not read: {names}; export each photograph as a file of one page if another is meant",
-                named,
-                len(pages),
-                "pages",
-            )
-        )
-    return warnings + _jpeg_warnings(tile)
-
-
-def _jpeg_warnings(tile: Tile) -> list[CaptureWarning]:
-    """Warn of JPEGs that are taken as linear light for want of a profile."""
-    jpeg = {lamp: path for lamp, path in tile.frames.items() if path.suffix.lower() in (".jpg", ".jpeg")}
-    if not jpeg or tile.encoding.transfer is not None or survey(tile).curve is not None:
-        return []
-    return [
-        CaptureWarning(
-            "jpeg",
-            f"{next(iter(jpeg.values())).name}: a JPEG without a profile is taken as linear light, "
-            "which few are; state encoding: {transfer: srgb} (or linear) in the manifest",
-            tuple(jpeg) if len(jpeg) < len(tile.frames) else (),
-        )
-    ]
 
 
 def grid_of(tile: Tile, info: ImageInfo) -> PixelGrid:

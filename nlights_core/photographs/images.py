@@ -14,7 +14,8 @@ import numpy as np
 from nlights_core.capture import Encoding
 from nlights_core.errors import TileError
 from nlights_core.frames import Array
-from nlights_core.photographs.decoders import RAW_SATURATION, Decoder, explain_damage, is_raw, open_decoder
+from nlights_core.photographs.decoders import RAW_SATURATION, is_raw, open_decoder
+from nlights_core.photographs.decoding import Decoder, explain_damage
 from nlights_core.photographs.icc_profiles import linear_profile
 from nlights_core.photographs.tone_curves import BELOW_ONE, ToneCurve, curve_of, full_scale, linear_light
 

@@ -9,7 +9,8 @@ import numpy as np
 
 from nlights_core.errors import TileError
 from nlights_core.frames import Array
-from nlights_core.photographs.decoders import Decoder, explain_damage, open_decoder
+from nlights_core.photographs.decoders import open_decoder
+from nlights_core.photographs.decoding import Decoder, explain_damage
 from nlights_core.photographs.tone_curves import full_scale
 
 

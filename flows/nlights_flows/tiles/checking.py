@@ -51,8 +51,6 @@ class Finding:
         Size and depth of the photographs.
     exposures : dict
         By lamp, for the frames.
-    notes : list of str
-        Sentences about what was done with the files, for people only.
     warnings : list of CaptureWarning
         What the photographs show that nobody meant.
     problems : list of str
@@ -62,7 +60,6 @@ class Finding:
     tile: str
     size: str = ""
     exposures: dict[str, Exposure] = field(default_factory=dict)
-    notes: list[str] = field(default_factory=list)
     warnings: list[CaptureWarning] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
 
@@ -114,7 +111,6 @@ def check_tile(tile: Tile, recipe: Recipe, progress: Callable[[float], None]) ->
     Finding
     """
     finding = Finding(tile.name)
-    finding.notes += _curves(tile)
     lacking = recipe.lacking(tile)
     finding.problems += lacking
     with tempfile.TemporaryDirectory(prefix="nlights-check-") as scratch:
@@ -140,20 +136,6 @@ def check_tile(tile: Tile, recipe: Recipe, progress: Callable[[float], None]) ->
             _answered(finding, store, examined)
         progress(1.0)
     return finding
-
-
-def _curves(tile: Tile) -> list[str]:
-    """Sentence on the tone curve of the photographs' profile, if the capture leaves it to that."""
-    try:
-        curve = survey(tile).curve
-    except (NlightsError, OSError):  # told as a problem
-        return []
-    if curve is None or tile.encoding.transfer not in (None, "icc"):
-        return []
-    return [
-        f"the tone curve of {curve.name} is undone; if the numbers are linear nevertheless, state encoding: "
-        "{transfer: linear}"
-    ]
 
 
 def _answered(finding: Finding, store: Store, ask: Callable[[], object]) -> bool:

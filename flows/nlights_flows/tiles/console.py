@@ -192,8 +192,6 @@ def show_findings(findings: Sequence[Finding]) -> None:
                 escape(lamp), f"{100 * exposure.total / count:.2f}", f"{100 * exposure.saturated / count:.3f}"
             )
         _wide().print(table)
-        for note in finding.notes:
-            complain(f"{finding.tile}: note: {note}")
         for warning in finding.warnings:
             lamps = f" ({', '.join(warning.lamps)})" if warning.lamps else ""
             complain(f"{finding.tile}: warning: {warning.code}{lamps}: {warning.sentence}")

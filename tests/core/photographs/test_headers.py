@@ -6,7 +6,7 @@ import tifffile
 
 from nlights_core.capture import Encoding, Tile
 from nlights_core.errors import TileError
-from nlights_core.photographs.headers import header_warnings, survey
+from nlights_core.photographs.headers import survey
 from nlights_core.photographs.icc_profiles import linear_profile
 from nlights_core.photographs.images import probe
 
@@ -100,16 +100,3 @@ def test_profiles_that_mean_the_same_are_alike(tmp_path):
     # A profile of linear light means what none means.
     tile = capture(tmp_path, ("L2",), iccprofile=linear_profile(icc(), 3))
     assert survey(tile).curve is None
-
-
-def test_a_file_of_several_pages_is_told_with_the_one_that_is_read(tmp_path):
-    tile = capture(tmp_path)
-    for lamp in ("L2", "L3"):
-        with tifffile.TiffWriter(tile.frames[lamp]) as file:
-            for value in (1, 2):
-                file.write(np.full((40, 60, 3), value, np.uint16), photometric="rgb")
-    survey(tile)
-    (warning,) = header_warnings(tile)
-    assert (warning.code, warning.lamps, warning.value) == ("pages", ("L2", "L3"), 2)
-    assert "L2.tif and 1 more: holds 2 full pages, of which page 1 (60 x 40 px) is read" in warning.sentence
-    assert "not read: page 2 (60 x 40 px)" in warning.sentence

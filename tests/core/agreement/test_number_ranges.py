@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import tifffile
 
+from nlights_core.agreement.number_ranges import range_warnings
 from nlights_core.capture import Encoding, Tile
 from nlights_core.errors import TileError
 from nlights_core.fields import LightField
 from nlights_core.photographs.development import darkroom
-from nlights_core.photographs.number_ranges import range_warnings
 
 LAMPS = ("L1", "L2", "L3")
 

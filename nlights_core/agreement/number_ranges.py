@@ -41,7 +41,7 @@ NEGATIVE = -0.01
 
 @dataclass
 class _Seen:
-    """What one photograph's numbers show: the number that many pixels share, or numbers beyond the range."""
+    """A number of one photograph: the one that many pixels share, or the farthest beyond the range."""
 
     code: str
     number: float
@@ -80,7 +80,7 @@ def range_warnings(room: Darkroom) -> list[CaptureWarning]:
 
 
 def _seen_in(photograph: Photograph) -> list[_Seen]:
-    """What is seen in one photograph."""
+    """Look at one photograph."""
     numbers, level = _sample(photograph), photograph.info.saturation
     found = []
     if photograph.info.dtype.kind == "f":
