@@ -77,7 +77,7 @@ def write_report(
     # Drawing keeps mostly Python busy and measuring mostly compiled loops, so they go on together.
     with ThreadPoolExecutor(1) as beside:
         drawing = beside.submit(draw, said, maps, grid)
-        numbers = _numbers(maps, grid, tile, made, said["lights"], white)
+        numbers = _numbers(maps, grid, tile, made, said, white)
         if height.stage == "level":
             numbers += quality.of_level(read_level(store.path(height)))
         numbers = quality.grouped(numbers)
@@ -103,14 +103,15 @@ def _numbers(
     grid: PixelGrid,
     tile: Tile,
     made: Mapping[str, Path],
-    lights: dict[str, Any],
+    said: Mapping[str, Any],
     white: float | None,
 ) -> list[Number]:
     """The numbers of the report, but for those of the level."""
     stand, uncertainty = tile.stand, tile.stand.uncertainty_mm if tile.stand else None
-    field = LightField.from_record(lights)
+    field = LightField.from_record(said["lights"])
     numbers = quality.measure(maps, grid, tile.lamps)
-    numbers += quality.of_agreement(read_agreement(made["normals"]), tile.lamps)
+    refined = bool(said["recipe"]["light_model"].get("refine"))
+    numbers += quality.of_agreement(read_agreement(made["normals"]), tile.lamps, refined)
     wrong = uncertainty and position_uncertainty(
         maps["normals"], grid, field, uncertainty, photographed=white is not None
     )
