@@ -13,6 +13,7 @@ from pathlib import Path
 
 import yaml
 
+from nlights_core.errors import NlightsError
 from nlights_flows.tiles import environment
 
 HERE = Path(__file__).resolve().parent
@@ -22,8 +23,13 @@ POOL = "nlights"
 def main() -> None:
     """Work pool first: a deployment needs it."""
     environment.prepare()
-    if not environment.api_configured():
+    address = environment.api_address()
+    if address is None:
         sys.exit("no Prefect server is configured; set PREFECT_API_URL, as http://127.0.0.1:4200/api")
+    try:
+        environment.require_api(address)
+    except NlightsError as fault:
+        sys.exit(str(fault))
     from prefect.client.orchestration import get_client
 
     with get_client(sync_client=True) as client:

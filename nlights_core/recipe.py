@@ -74,14 +74,15 @@ class Recipe(Record):
         return any(field in algorithm.needs for algorithm in self.algorithms())
 
     def lacking(self, tile: Tile) -> list[str]:
-        """List what of a capture this recipe needs and the tile has not, as sentences."""
-        return [
+        """List what of a capture this recipe needs and the tile has not, and what fits instead, as sentences."""
+        found = [
             f"{MANIFEST_FIELD.get(need, need)}: is missing, and {algorithm.slot}: {algorithm.name} of the recipe "
             f"'{self.name}' needs it; add it to the manifest, or choose another {algorithm.slot}"
             for algorithm in self.algorithms()
             for need in algorithm.needs
             if not getattr(tile, need)
         ]
+        return [*found, _what_fits(tile)] if found else []
 
     def record(self) -> dict[str, Any]:
         """The recipe as it could be written in YAML, with every option spelled out."""
@@ -98,6 +99,35 @@ class Recipe(Record):
             "passes": self.passes,
             "integrable": self.integrable,
         }
+
+
+FOR_CAPTURES = {
+    "default": "a stand is given, and the manifest lists flats",
+    "no-flats": "a stand is given",
+    "given-directions": "the manifest lists lights",
+    "chrome-sphere": "the manifest lists chrome_spheres",
+}
+"""Shipped recipes to measure with, best first, and which captures they fit; the others are there to compare with."""
+
+
+def fitting(tile: Tile) -> list[str]:
+    """Names of the shipped recipes that a capture has everything for, best first."""
+    return [
+        name
+        for name in FOR_CAPTURES
+        if all(getattr(tile, need) for part in load_recipe(name).algorithms() for need in part.needs)
+    ]
+
+
+def _what_fits(tile: Tile) -> str:
+    """Sentence that names the shipped recipes which fit a tile."""
+    fits = [f"{FOR_CAPTURES[name]}: --recipe {name}" for name in fitting(tile)]
+    if fits:
+        return f"what fits this capture: {'; or '.join(fits)}"
+    return (
+        "no shipped recipe fits this capture: nothing in it says where the lamps are; add a stand, chrome_spheres "
+        "or lights to the manifest"
+    )
 
 
 MANIFEST_FIELD = {"spheres": "chrome_spheres"}

@@ -47,8 +47,8 @@ def _of_curves(tile: Tile, files: list[tuple[str, Path, ImageInfo]]) -> list[Cap
         warnings.append(
             CaptureWarning(
                 "profile",
-                f"{frames[0][1].parent}: the tone curve of {curves[0]} is undone, which the photographs embed; state "
-                "encoding: {transfer: icc} if that is meant, or {transfer: linear} if their numbers are light",
+                f"the tone curve of {curves[0]} is undone, the profile of {frames[0][1].name} and the others; "
+                "state encoding: {transfer: icc} if that is meant, or {transfer: linear} if their numbers are light",
             )
         )
     bare = [

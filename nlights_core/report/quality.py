@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from nlights_core.lamps.emission import StandCheck
     from nlights_core.near_light.levelling import Level
     from nlights_core.near_light.position_uncertainty import PositionUncertainty
-    from nlights_core.solving.agreement import Agreement
 
 
 def _surface(maps: Mapping[str, Array], grid: PixelGrid, slope: float | None) -> list[Number]:
@@ -268,38 +267,6 @@ def grouped(numbers: Sequence[Number]) -> list[Number]:
     return sorted(numbers, key=lambda number: groups.index(number.group))
 
 
-def of_agreement(found: Agreement, lamps: Sequence[str]) -> list[Number]:
-    """Numbers of how the photographs agree with the model: residuals against the noise, lamps held out."""
-    known = [(value, lamp) for value, lamp in zip(found.held_out, lamps, strict=True) if value is not None]
-    mean = 100 * float(np.sqrt(np.mean([value**2 for value, _ in known]))) if known else None
-    worst, lamp = max(known, default=(None, ""))
-    return [
-        Number(
-            "Agreement",
-            "Residual in units of the noise, median",
-            found.surprise,
-            "",
-            "1: the typical pixel differs from the model by the photographs' noise and nothing else. Well "
-            "above: gloss, wrong lamp positions, or something moved.",
-        ),
-        Number(
-            "Agreement",
-            "Held-out lamp, rms",
-            mean,
-            "% of albedo",
-            "How far each photograph is from the one that the other lamps predict: the model's error where "
-            "nothing was fitted to.",
-        ),
-        Number(
-            "Agreement",
-            f"Held-out lamp, worst ({lamp})" if lamp else "Held-out lamp, worst",
-            None if worst is None else 100 * worst,
-            "% of albedo",
-            "The lamp that the others predict worst: look at its photograph, its flat and its position first.",
-        ),
-    ]
-
-
 def of_positions(found: PositionUncertainty | None, uncertainty: float | None) -> list[Number]:
     """Errors of normals and height by the uncertainty of the lamps' measured positions."""
     said = f"{uncertainty:g} mm" if uncertainty else "an unknown amount"
@@ -336,7 +303,7 @@ def of_flat(check: StandCheck | None, stand: str | None, missing: str) -> list[N
 
     def number(name: str, value: float | None, unit: str, meaning: str, warning: str = "") -> Number:
         absent = missing if check is None else NOT_MEASURED
-        return Number("Flat", name, value, unit, meaning, absent, warning, "stand" if warning else "")
+        return Number("Flat", name, value, unit, meaning, absent, warning, "stand")
 
     return [
         number(
@@ -369,7 +336,6 @@ def of_level(level: Level) -> list[Number]:
     """Numbers that the photographs give of the surface's level and of the lamps since the flats were taken."""
     found = level.uncertainty is not None
     drift = 100 * (float(np.max(level.strengths)) - float(np.min(level.strengths)))
-    drifted = found and drift > MOST_DRIFT
     return [
         Number(
             "Level",
@@ -393,8 +359,8 @@ def of_level(level: Level) -> list[Number]:
             "Strongest against weakest; it was corrected, and counts as 0 where the flats are no better "
             "known. Above 2 %, photograph the flats again.",
             warning=f"The lamps have changed by {drift:.1f} % since the flats were taken: photograph the flats again."
-            if drifted
+            if found and drift > MOST_DRIFT
             else "",
-            code="drift" if drifted else "",
+            code="drift",
         ),
     ]

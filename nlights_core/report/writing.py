@@ -24,6 +24,7 @@ from nlights_core.photographs.masks import Mask
 from nlights_core.photographs.noise import read_noise
 from nlights_core.products.writing import WHAT, open_maps, white_reflectance
 from nlights_core.report import quality
+from nlights_core.report.agreement_quality import of_agreement
 from nlights_core.report.figures import NOT_IN_RECIPE, NOT_MEASURED, Number
 from nlights_core.report.flat_quality import of_flat_levels
 from nlights_core.solving.agreement import read_agreement
@@ -82,7 +83,7 @@ def write_report(
     # Drawing keeps mostly Python busy and measuring mostly compiled loops, so they go on together.
     with ThreadPoolExecutor(1) as beside:
         drawing = beside.submit(draw, said, maps, grid)
-        numbers = _numbers(maps, grid, tile, made, said["lights"], white, inside)
+        numbers = _numbers(maps, grid, tile, made, said, white, inside)
         if height.stage == "level":
             numbers += quality.of_level(read_level(store.path(height)))
         numbers = quality.grouped(numbers)
@@ -112,15 +113,16 @@ def _numbers(
     grid: PixelGrid,
     tile: Tile,
     made: Mapping[str, Path],
-    lights: dict[str, Any],
+    said: Mapping[str, Any],
     white: float | None,
     inside: int | None,
 ) -> list[Number]:
     """The numbers of the report, but for those of the level."""
     stand, uncertainty = tile.stand, tile.stand.uncertainty_mm if tile.stand else None
-    field = LightField.from_record(lights)
+    field = LightField.from_record(said["lights"])
     numbers = quality.measure(maps, grid, tile.lamps, inside)
-    numbers += quality.of_agreement(read_agreement(made["normals"]), tile.lamps)
+    refined = bool(said["recipe"]["light_model"].get("refine"))
+    numbers += of_agreement(read_agreement(made["normals"]), tile.lamps, refined)
     wrong = uncertainty and position_uncertainty(
         maps["normals"], grid, field, uncertainty, photographed=white is not None
     )

@@ -31,10 +31,14 @@ class Agreement:
     held_out : tuple of float or None
         For each lamp the rms difference, as a share of the albedo, of its photograph to the one
         that is predicted from all others.  None where it could not be predicted.
+    typical : tuple of float or None
+        The same at the typical pixel: the median of the differences' sizes.  Highlights and cast shadows,
+        which a few pixels have, do not count in it.
     """
 
     surprise: float | None
     held_out: tuple[float | None, ...]
+    typical: tuple[float | None, ...] = ()
 
 
 @dataclass
@@ -88,8 +92,10 @@ class AgreementMeter:
         surprises = np.concatenate(self._surprises) if self._surprises else np.empty(0)
         surprises = surprises[np.isfinite(surprises)]
         squares = np.concatenate(self._squares, axis=1) if self._squares else np.empty((0, 0))
-        means = [float(np.sqrt(s.mean())) if (s := row[np.isfinite(row)]).size else None for row in squares]
-        return Agreement(float(np.median(surprises)) if surprises.size else None, tuple(means))
+        known = [row[np.isfinite(row)] for row in squares]
+        means = tuple(float(np.sqrt(row.mean())) if row.size else None for row in known)
+        typical = tuple(float(np.sqrt(np.median(row))) if row.size else None for row in known)
+        return Agreement(float(np.median(surprises)) if surprises.size else None, means, typical)
 
 
 def _thinned(band: Band, first: int, step: int) -> Band:
@@ -130,11 +136,11 @@ def _surprise(band: Band, found: Solution) -> Array:
 
 def write_agreement(folder: Path, found: Agreement) -> None:
     """Write ``agreement.json``."""
-    record = {"surprise": found.surprise, "held_out": found.held_out}
+    record = {"surprise": found.surprise, "held_out": found.held_out, "typical": found.typical}
     (folder / "agreement.json").write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
 
 
 def read_agreement(folder: Path) -> Agreement:
     """Read what `write_agreement` wrote."""
     record = json.loads((folder / "agreement.json").read_text(encoding="utf-8"))
-    return Agreement(record["surprise"], tuple(record["held_out"]))
+    return Agreement(record["surprise"], tuple(record["held_out"]), tuple(record["typical"]))

@@ -9,10 +9,11 @@ from typing import ClassVar
 import pytest
 
 from nlights_core.algorithms import Algorithm, HeightDetrend, Integrator
-from nlights_core.configurations import shipped_names
+from nlights_core.capture import GivenLights, Sphere, Tile
+from nlights_core.configurations import load_stand, shipped_names
 from nlights_core.errors import PluginError, RecipeError
 from nlights_core.fields import HeightMap, NormalField
-from nlights_core.recipe import choose, load_recipe, recipe_schema
+from nlights_core.recipe import FOR_CAPTURES, choose, fitting, load_recipe, recipe_schema
 from nlights_core.registry import Offer, Registry, installed
 
 SCHEMA = Path(__file__).parents[2] / "configs" / "recipe.schema.json"
@@ -31,6 +32,43 @@ def test_every_shipped_recipe_loads_pickles_and_survives_its_own_record(name, tm
     path = tmp_path / f"{name}.yaml"
     path.write_text(yaml.safe_dump(recipe.record()))
     assert load_recipe(str(path)) == recipe
+
+
+FRAMES = {lamp: Path(f"{lamp}.tif") for lamp in ("a", "b", "c")}
+STAND = load_stand("horizontal")
+SPHERES = (Sphere(frames=FRAMES),)
+LISTED = GivenLights(directions=Path("lamps.lp"))
+
+
+@pytest.mark.parametrize(
+    ("has", "fits"),
+    [
+        ({"stand": STAND, "flats": FRAMES}, ["default", "no-flats"]),
+        ({"stand": STAND}, ["no-flats"]),
+        ({"spheres": SPHERES}, ["chrome-sphere"]),
+        ({"lights": LISTED, "spheres": SPHERES}, ["given-directions", "chrome-sphere"]),
+        ({"flats": FRAMES}, []),
+    ],
+)
+def test_a_recipe_that_does_not_fit_names_those_that_do(has, fits):
+    tile = Tile(artwork="a", name="t", frames=FRAMES, **has)
+    assert fitting(tile) == fits
+    for name in fits:
+        assert load_recipe(name).lacking(tile) == []
+    lacking = load_recipe("paper").lacking(tile)
+    if {"stand", "flats"} <= set(has):
+        assert lacking == []
+    else:
+        assert [name for name in FOR_CAPTURES if f"--recipe {name}" in lacking[-1]] == fits
+        assert fits or "add a stand, chrome_spheres or lights" in lacking[-1]
+
+
+def test_a_capture_with_spheres_alone_is_told_its_recipe_word_for_word():
+    tile = Tile(artwork="a", name="t", frames=FRAMES, spheres=SPHERES)
+    assert (
+        "the manifest lists chrome_spheres: --recipe chrome-sphere"
+        in load_recipe("default").lacking(tile)[-1]
+    )
 
 
 def test_the_schema_beside_the_recipes_is_true():

@@ -235,13 +235,13 @@ def _run_flow(artwork: Path, options: RunOptions) -> list[Outcome]:
 
     preparing.prepare_run(artwork, options)  # a misspelt recipe need not wait for Prefect
     preparing.make_folders(options)
-    environment.prepare()
-    from nlights_flows.tiles.digitise import digitise as flow
+    with environment.prefect_at_hand():
+        from nlights_flows.tiles.digitise import digitise as flow
 
-    state: Any = flow(artwork=str(artwork), **options.plain(), return_state=True)
-    outcomes = state.data if isinstance(state.data, list) else state.result(raise_on_failure=False)
-    if isinstance(outcomes, BaseException):
-        raise outcomes
+        state: Any = flow(artwork=str(artwork), **options.plain(), return_state=True)
+        outcomes = state.data if isinstance(state.data, list) else state.result(raise_on_failure=False)
+        if isinstance(outcomes, BaseException):
+            raise outcomes
     return outcomes
 
 

@@ -122,19 +122,19 @@ def _run_flow(order: Order) -> dict[str, Any]:
     """Compare as a Prefect flow."""
     from nlights_flows.tiles import environment
 
-    environment.prepare()
-    from nlights_flows.comparison.compare import compare as flow
+    with environment.prefect_at_hand():
+        from nlights_flows.comparison.compare import compare as flow
 
-    state: Any = flow(
-        artworks=[str(path) for path in order.artworks],
-        recipes=list(order.recipes),
-        grid=list(order.grid),
-        **order.options.plain("runner", "address"),
-        return_state=True,
-    )
-    record = state.data if isinstance(state.data, dict) else state.result(raise_on_failure=False)
-    if isinstance(record, BaseException):
-        raise record
+        state: Any = flow(
+            artworks=[str(path) for path in order.artworks],
+            recipes=list(order.recipes),
+            grid=list(order.grid),
+            **order.options.plain("runner", "address"),
+            return_state=True,
+        )
+        record = state.data if isinstance(state.data, dict) else state.result(raise_on_failure=False)
+        if isinstance(record, BaseException):
+            raise record
     return record
 
 

@@ -94,20 +94,20 @@ def _run_flow(order: Order) -> None:
     """Run the night as a flow, and end the command with its exit code."""
     from nlights_flows.tiles import environment
 
-    environment.prepare()
-    from nlights_flows.nights.nightly import nightly as flow
+    with environment.prefect_at_hand():
+        from nlights_flows.nights.nightly import nightly as flow
 
-    state: Any = flow(
-        inbox=str(order.inbox),
-        until=order.until,
-        limits=order.limits,
-        settle=order.settle,
-        **order.options.plain("stand", "root", "tiles"),
-        return_state=True,
-    )
-    found = state.data if isinstance(state.data, dict) else state.result(raise_on_failure=False)
-    if isinstance(found, BaseException):
-        raise found
+        state: Any = flow(
+            inbox=str(order.inbox),
+            until=order.until,
+            limits=order.limits,
+            settle=order.settle,
+            **order.options.plain("stand", "root", "tiles"),
+            return_state=True,
+        )
+        found = state.data if isinstance(state.data, dict) else state.result(raise_on_failure=False)
+        if isinstance(found, BaseException):
+            raise found
     _show(found["record"], order.options.out)
     raise typer.Exit(found["exit_code"])
 

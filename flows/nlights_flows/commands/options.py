@@ -21,7 +21,11 @@ Artwork = Annotated[
 ]
 RecipeOption = Annotated[
     str,
-    typer.Option("--recipe", metavar="RECIPE", help="A shipped recipe (default, paper, psbox) or a file."),
+    typer.Option(
+        "--recipe",
+        metavar="RECIPE",
+        help="A shipped recipe (default, no-flats, ...) or a file.",
+    ),
 ]
 Out = Annotated[Path, typer.Option("--out", metavar="DIR", help="Where the products go.")]
 StoreOption = Annotated[

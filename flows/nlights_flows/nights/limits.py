@@ -15,6 +15,7 @@ from nlights_core.errors import CaptureError
 from nlights_core.frames import PixelGrid
 from nlights_core.near_light.levelling import Level
 from nlights_core.report import quality
+from nlights_core.report.agreement_quality import of_agreement
 from nlights_core.report.figures import NOT_IN_RECIPE
 from nlights_core.report.flat_quality import of_flat_levels
 from nlights_core.solving.agreement import Agreement
@@ -103,7 +104,7 @@ def known_numbers() -> dict[str, str]:
     """Names and units of all quality numbers that the report can make; of those per lamp without the lamp."""
     numbers = [
         *quality.measure({}, PixelGrid(1, 1, 1.0)),
-        *quality.of_agreement(Agreement(None, ()), ()),
+        *of_agreement(Agreement(None, ()), ()),
         *quality.of_positions(None, None),
         *quality.of_flat(None, None, NOT_IN_RECIPE),
         *of_flat_levels(None, None, None, (), NOT_IN_RECIPE),

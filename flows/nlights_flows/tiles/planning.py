@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from nlights_core.capture import Tile
+from nlights_core.errors import TileError
 from nlights_core.recipe import Recipe
 from nlights_core.store import RECORD, ArtefactRef, Store, Work
 from nlights_flows.tiles.chain import digitise_tile
@@ -44,8 +45,10 @@ def plan(tile: Tile, recipe: Recipe, store: Store) -> list[Step]:
     Raises
     ------
     TileError
-        When a photograph is missing, so that nothing of it can be planned.
+        When the recipe needs what the tile has not, or a photograph is missing, so that nothing of it can be planned.
     """
+    if lacking := recipe.lacking(tile):
+        raise TileError("; ".join(lacking))
     found: list[Step] = []
 
     def call(stage: Callable[..., Work], tile: Tile, *arguments: Any) -> ArtefactRef:

@@ -9,6 +9,7 @@ from nlights_core.files import reduction
 from nlights_core.frames import PixelGrid
 from nlights_core.near_light.levelling import Level
 from nlights_core.report import map_statistics
+from nlights_core.report.agreement_quality import of_agreement
 from nlights_core.report.figures import Number, figure_of
 from nlights_core.report.map_statistics import (
     bias_angle,
@@ -19,6 +20,7 @@ from nlights_core.report.map_statistics import (
     unevenness,
 )
 from nlights_core.report.quality import measure, of_level
+from nlights_core.solving.agreement import Agreement
 
 GRID = PixelGrid(60, 80, 0.5)
 
@@ -258,3 +260,25 @@ def test_memory_follows_the_band_not_the_image(tmp_path, monkeypatch):
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 20 << 20
+
+
+@pytest.mark.parametrize(
+    ("surprise", "typical", "refined", "words"),
+    [
+        (1.0, (0.01, 0.02, 0.01), False, []),
+        (2.9, (0.1, 0.19, 0.1), False, []),
+        (10.5, (0.1, 0.1, 0.1), False, ["10.5 times the photographs' noise", "Try refine: true"]),
+        (10.5, (0.1, 0.1, 0.1), True, ["10.5 times", "Try another light_model"]),
+        (2.0, (0.1, 0.41, None), True, ["photographed under b:", "41 % of the albedo"]),
+        (None, (None, None, None), False, []),
+    ],
+)
+def test_photographs_that_do_not_fit_the_lamps_are_told_with_what_to_try(surprise, typical, refined, words):
+    # The rms of a glossy surface is large where nothing is wrong: it decides nothing.
+    agreement = Agreement(surprise, (0.9, 0.9, 0.9), typical)
+    numbers = of_agreement(agreement, ("a", "b", "c"), refined)
+    said = "".join(number.warning for number in numbers)
+    assert bool(said) == bool(words)
+    for word in words:
+        assert word in said
+    assert ("refine: true" in said) == (bool(words) and not refined)

@@ -67,12 +67,22 @@ def test_a_lamp_that_is_3_percent_too_bright_is_named():
     assert held_out[2] == pytest.approx(0.03, rel=0.1)
 
 
+def test_highlights_at_a_few_pixels_are_in_the_rms_and_not_in_the_typical_difference():
+    images, lights = scene(0.0)
+    images[4, ::10, ::10] *= 30
+    agreement = found(images, lights)
+    assert agreement.held_out[4] > 1
+    assert agreement.typical[4] < 0.01
+    images[4] *= 1.5
+    assert found(images, lights).typical[4] == pytest.approx(0.5, rel=0.2)
+
+
 def test_three_lights_leave_nothing_to_compare(tmp_path):
     images, lights = scene(1.0)
     meter = AgreementMeter(GRID, solve)
     meter.add(band(images[[0, 1, 2]], lights[[0, 1, 2]]))
     agreement = meter.found()
     assert agreement.surprise is None
-    assert agreement.held_out == (None, None, None)
+    assert agreement.held_out == agreement.typical == (None, None, None)
     write_agreement(tmp_path, agreement)
     assert read_agreement(tmp_path) == agreement
