@@ -45,7 +45,7 @@ class Group:
 
     @property
     def called(self) -> str:
-        """What people see of it."""
+        """Name of it for people."""
         return self.path(self.series.pattern or f"{self.series.names[0]} ... {self.series.names[-1]}")
 
 
@@ -188,7 +188,7 @@ def _named(singles: Sequence[str]) -> list[Group]:
 
 
 def _rank(group: Group) -> int:
-    """How little a kind of file has lost of what the camera saw: raw, TIFF, PNG and others, JPEG."""
+    """Rank of a kind of file by what it has lost of what the camera saw: raw, TIFF, PNG and others, JPEG."""
     suffix = PurePosixPath(group.series.names[0]).suffix.lower()
     return (
         0 if suffix in RAW_EXTENSIONS else 1 if suffix in SPELLINGS[0] else 3 if suffix in SPELLINGS[1] else 2

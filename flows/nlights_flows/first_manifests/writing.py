@@ -51,7 +51,7 @@ class Wanted:
 
 @dataclass
 class Written:
-    """What became of a folder.
+    """Outcome of a folder.
 
     Attributes
     ----------
