@@ -43,6 +43,9 @@ RAW_EXTENSIONS = frozenset({
 # fmt: on
 """Extensions of camera raw files.  Many start like a TIFF, so only the name tells."""
 
+EXTENSIONS = RAW_EXTENSIONS | {".tif", ".tiff", ".png", ".jpg", ".jpeg", ".bmp", ".tga"}
+"""Extensions by which photographs are told from other files in a folder."""
+
 RAW_SATURATION = 65534.0
 """LibRaw scales the white level to 65535, and its float32 arithmetic may cut that to one less."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import ClassVar, NamedTuple
@@ -20,7 +21,7 @@ from nlights_core.names.listed import match_listed
 class GivenDirections(LightModel):
     """Distant lamps whose directions, and strengths where known, somebody has calibrated.
 
-    Reads the directions of RTI domes (``.lp``), of PSBox (a column per light), of DiLiGenT (a
+    Reads the directions of RTI domes (``.lp``, ``.dome``), of PSBox (a column per light), of DiLiGenT (a
     row per light) and of the University of Washington (a count, then a row per light).  x is to
     the right, y up, z towards the camera.  Where a file names photographs, each light goes to the
     photograph of that name, whatever its extension.
@@ -78,7 +79,7 @@ class Listed(NamedTuple):
 
 
 def read_directions(path: Path) -> Listed:
-    """Read light directions: an ``.lp`` list, a counted list, or a matrix.
+    """Read light directions: an ``.lp`` list, a counted list, a matrix, or Relight's ``.dome``.
 
     A file whose first line is one whole number is a list: that many lines follow, each with x y
     z, after a file name (with or without spaces) where there is one.  Any other file is a
@@ -102,7 +103,9 @@ def read_directions(path: Path) -> Listed:
     """
     lines = _lines(path)
     names: tuple[str, ...] | None = None
-    if len(lines[0].split()) == 1 and lines[0].strip().isdigit():
+    if lines[0].lstrip().startswith("{"):
+        matrix = _dome(path, "\n".join(lines))
+    elif len(lines[0].split()) == 1 and lines[0].strip().isdigit():
         count, rows = int(lines[0]), [line.rsplit(maxsplit=3) for line in lines[1:]]
         if len(rows) != count or not count:
             raise TileError(f"{path}: the first line says {count} lights, but {len(rows)} lines follow")
@@ -133,6 +136,16 @@ def read_directions(path: Path) -> Listed:
                 "z towards the camera and above 0"
             )
     return Listed(path, names, matrix / np.linalg.norm(matrix, axis=1, keepdims=True))
+
+
+def _dome(path: Path, text: str) -> Array:
+    """Directions of a dome file of Relight; its positions, where it has them, are not used."""
+    try:
+        return _numbers(path, [[light[axis] for axis in "xyz"] for light in json.loads(text)["directions"]])
+    except (ValueError, KeyError, TypeError) as fault:
+        raise TileError(
+            f"{path}: is no dome file of Relight: JSON with directions, each of x, y, z ({fault})"
+        ) from fault
 
 
 def read_intensities(path: Path, count: int) -> Array:

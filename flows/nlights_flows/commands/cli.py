@@ -13,6 +13,7 @@ from nlights_core import __version__
 from nlights_core.errors import NlightsError
 from nlights_flows.commands import compare as compare_command
 from nlights_flows.commands import doctor as doctor_command
+from nlights_flows.commands import init as init_command
 from nlights_flows.commands import nightly as nightly_command
 from nlights_flows.commands import plugins as plugin_commands
 from nlights_flows.commands import tolerance as tolerance_command
@@ -281,6 +282,7 @@ def evaluate(
     write_whole(folder / "evaluation.json", json.dumps(result, indent=1) + "\n")
 
 
+init_command.register(app)
 compare_command.register(app)
 nightly_command.register(app)
 plugin_commands.register(app)

@@ -13,7 +13,7 @@ from nlights_core.errors import CaptureError, NlightsError
 from nlights_core.manifest import load_capture, read_manifest
 from nlights_core.names.artworks import folder_of
 from nlights_core.names.photographs import is_hidden
-from nlights_core.photographs.decoders import RAW_EXTENSIONS
+from nlights_core.photographs.decoders import EXTENSIONS
 
 MANIFEST = "artwork.yaml"
 MARKER = "upload-complete"
@@ -21,8 +21,6 @@ MARKER = "upload-complete"
 
 NIGHTS = "nights"
 """Folder of the nights beside those of the artworks."""
-
-PHOTOGRAPHS = RAW_EXTENSIONS | {".tif", ".tiff", ".png", ".jpg", ".jpeg", ".bmp", ".tga"}
 
 
 @dataclass(frozen=True)
@@ -250,7 +248,7 @@ def photographs_of(tile: Tile) -> list[Path]:
 def _has_photographs(folder: Path) -> bool:
     try:
         return any(
-            path.suffix.lower() in PHOTOGRAPHS and not is_hidden(path.name) for path in folder.iterdir()
+            path.suffix.lower() in EXTENSIONS and not is_hidden(path.name) for path in folder.iterdir()
         )
     except OSError:
         return False
