@@ -64,6 +64,9 @@ def find_tone_curve(samples: Samples, cells: CoarseLight, tile: Tile) -> list[Ca
     list of CaptureWarning
         Of one at most.
     """
+    linear = (
+        "in artwork.yaml, state encoding.transfer: linear, for a curve seems to be undone that is not there"
+    )
     remedy = (
         "export linear photographs (no tone curve, gamma 1), or state the curve in encoding.transfer in "
         "artwork.yaml; positions of lamps and the stand are not in doubt before that is mended"
@@ -77,7 +80,7 @@ def find_tone_curve(samples: Samples, cells: CoarseLight, tile: Tile) -> list[Ca
                     "tone-curve",
                     f"the numbers in the flats (lamps {listed(cells.lamps)}) follow a tone curve: they vary over the "
                     f"field as computed light to the power of {slope:.2f}, where linear ones give 0.85 to 1.05; "
-                    f"{remedy}",
+                    f"{linear if slope > 1 else remedy}",
                     (),
                     slope,
                     "power",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from nlights_core.agreement.coarse_light import (
@@ -34,7 +36,7 @@ STRANGE = 4.0
 """As many times the median lamp's must the misfit of a turned photograph be as it is: sound ones are alike."""
 
 EITHER = 0.7
-"""Ratio of misfits below which it is told from the picture alone whether the photograph or the flat was turned."""
+"""Ratio of misfits below which the smaller decides: between photograph and flat, or between two ways of turning."""
 
 PATTERN = 0.5
 """Correlation of fine patterns, turned, that is asked for where no flat tells the light: on a sphere, light from the
@@ -46,8 +48,9 @@ NO_PATTERN = 0.25
 FINE = 5
 """Cells over which a pattern is fine."""
 
+HALF_TURN = "turned by 180 degrees"
 WAYS = {
-    "turned by 180 degrees": (slice(None, None, -1), slice(None, None, -1)),
+    HALF_TURN: (slice(None, None, -1), slice(None, None, -1)),
     "mirrored left to right": (slice(None), slice(None, None, -1)),
     "mirrored top to bottom": (slice(None, None, -1), slice(None)),
 }
@@ -110,7 +113,7 @@ def _way_of_all(pairs: tuple[tuple[Array, Array], ...]) -> tuple[str, float, boo
     if not np.isfinite(listed).all():
         return "", float("inf"), False
     turned = {way: np.diag(apart(place)) for way, place in WAYS.items()}
-    way = min(turned, key=lambda way: float(np.nan_to_num(turned[way].sum(), nan=np.inf)))
+    way = likeliest_way({way: float(misfit.sum()) for way, misfit in turned.items()})
     best = turned[way]
     exchanged = listed[np.arange(len(listed)), reassign(listed)].sum()
     if exchanged < SWAPPED * best.sum() or not np.mean(best < as_is) > 0.7:
@@ -175,12 +178,22 @@ def find_turned(cells: CoarseLight, tile: Tile) -> list[CaptureWarning]:
     return found
 
 
+def likeliest_way(misfits: Mapping[str, float]) -> str:
+    """The way of the least misfit; by 180 degrees unless that is clearly worse, for nobody means to mirror."""
+    known = {way: misfit for way, misfit in misfits.items() if np.isfinite(misfit)}
+    best = min(known, key=lambda way: known[way], default=HALF_TURN)
+    half = known.get(HALF_TURN, np.inf)
+    return HALF_TURN if EITHER * half < known.get(best, np.inf) else best
+
+
 def _best_way(cells: CoarseLight, i: int, others: Array, light: Array, own: float) -> tuple[str, float, str]:
     """How photograph or flat of a lamp fit best, the ratio of the misfit, and which of the two was turned."""
     frame = cells.frames[i]
-    frames_turned = {way: _variances(frame[place] - others - light) / own for way, place in WAYS.items()}
-    way = min(frames_turned, key=lambda way: float(np.nan_to_num(frames_turned[way], nan=np.inf)))
-    best = float(frames_turned[way])
+    frames_turned = {
+        way: float(_variances(frame[place] - others - light) / own) for way, place in WAYS.items()
+    }
+    way = likeliest_way(frames_turned)
+    best = frames_turned[way]
     if cells.flats is None:
         return way, best, "frame"
     flat = cells.flats[i]
@@ -188,7 +201,7 @@ def _best_way(cells: CoarseLight, i: int, others: Array, light: Array, own: floa
         way: float(_variances(frame - others - (light - flat + flat[place])) / own)
         for way, place in WAYS.items()
     }
-    way_of_flat = min(flats_turned, key=lambda way: float(np.nan_to_num(flats_turned[way], nan=np.inf)))
+    way_of_flat = likeliest_way(flats_turned)
     best_of_flat = flats_turned[way_of_flat]
     if best < EITHER * best_of_flat:
         return way, best, "frame"
