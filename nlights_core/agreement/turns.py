@@ -42,11 +42,14 @@ PATTERN = 0.5
 """Correlation of fine patterns, turned, that is asked for where no flat tells the light: on a sphere, light from the
 left looks like light from the right mirrored.  Photographs of one artwork correlate by 0.7 to 1."""
 
-NO_PATTERN = 0.25
+NO_PATTERN = 0.3
 """Correlation as it is that a turned photograph stays below."""
 
-FINE = 5
-"""Cells over which a pattern is fine."""
+MOST = 0.75
+"""Share of the other photographs that must have that pattern: shading is another from every side."""
+
+FINE = 13
+"""Cells within which a pattern is fine: a sixth of the field."""
 
 HALF_TURN = "turned by 180 degrees"
 WAYS = {
@@ -170,10 +173,11 @@ def find_turned(cells: CoarseLight, tile: Tile) -> list[CaptureWarning]:
     usual = np.nanmedian(own) if np.isfinite(own).any() else np.nan
     found = []
     for i, lamp in enumerate(cells.lamps):
-        if not own[i] > STRANGE * usual:
+        # Without flats the light itself is strange to the others.
+        if not own[i] > (STRANGE if cells.flats is not None else 0) * usual:
             continue
         way, ratio, kind = _best_way(cells, i, others[i], light[i], own[i])
-        if ratio < TURNED and (cells.flats is not None or _pattern_is_turned(frames[i], others[i], way)):
+        if ratio < TURNED and (cells.flats is not None or _pattern_is_turned(frames, others, i, way)):
             found.append(_turned(tile, lamp, way, kind, ratio))
     return found
 
@@ -217,10 +221,13 @@ def _best_way(cells: CoarseLight, i: int, others: Array, light: Array, own: floa
     return (way_of_flat, best_of_flat, kind) if kind == "flat" else (way, best, kind)
 
 
-def _pattern_is_turned(frame: Array, others: Array, way: str) -> bool:
+def _pattern_is_turned(frames: Array, others: Array, i: int, way: str) -> bool:
     """Test whether the fine pattern of a photograph is that of the others turned, whatever the light."""
-    wanted, as_is, turned = (_fine(one) for one in (others, frame, frame[WAYS[way]]))
-    return _correlation(turned, wanted) > PATTERN and _correlation(as_is, wanted) < NO_PATTERN
+    wanted, turned = _fine(others[i]), _fine(frames[(i, *WAYS[way])])
+    alike = [_correlation(_fine(frame), wanted) for frame in frames]
+    # What all others share is no shading.
+    shared = np.mean(np.delete(alike, i) > PATTERN) > MOST
+    return bool(shared and alike[i] < NO_PATTERN and _correlation(turned, wanted) > PATTERN)
 
 
 def _fine(light: Array) -> Array:

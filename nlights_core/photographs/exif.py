@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -76,7 +77,9 @@ def read_exposure(path: Path) -> ExposureNote:
     OSError
         When the file cannot be opened.
     """
-    with path.open("rb") as file:
+    with path.open("rb") as file, warnings.catch_warnings():
+        # Of a damaged note, which is no fault of a photograph.
+        warnings.simplefilter("ignore")
         start = file.read(8)
         file.seek(0)
         try:
