@@ -149,7 +149,7 @@ def exchanges(apart: Array) -> list[Exchange]:
 
 
 def reassign(misfit: Array) -> Array:
-    """Which lamp each photograph shows, (L,), for the best agreement by misfits (L, L).
+    """Lamp that each photograph shows, (L,), for the best agreement by misfits (L, L).
 
     A lamp leaves its place only in a cycle that lowers the misfit to `SWAPPED` of what it was.
     """
@@ -167,7 +167,7 @@ def _ratio(misfit: Array, cycle: list[int] | tuple[int, ...]) -> float:
 
 
 def _which(lamps: tuple[int, ...], frames: Array, flats: Array, light: Array | None) -> str:
-    """Which of the two sets is exchanged, by the light computed from the stand: "frames", "flats" or "either"."""
+    """Set that is exchanged, by the light computed from the stand: "frames", "flats" or "either"."""
     if light is None:
         return "either"
     by_frames = _ratio(misfits(frames, light), lamps)

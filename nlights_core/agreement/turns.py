@@ -125,7 +125,7 @@ def _way_of_all(pairs: tuple[tuple[Array, Array], ...]) -> tuple[str, float, boo
 
 
 def _odd_set(frames: Array, flats: Array, light: Array | None) -> tuple[str, str]:
-    """Which set is turned against which, by the light computed from the stand."""
+    """Set that is turned, and against which, by the light computed from the stand."""
     if light is not None:
         by_frames, by_flats = (float(np.diag(misfits(one, light)).sum()) for one in (frames, flats))
         if min(by_frames, by_flats) < EITHER * max(by_frames, by_flats):
@@ -191,7 +191,7 @@ def likeliest_way(misfits: Mapping[str, float]) -> str:
 
 
 def _best_way(cells: CoarseLight, i: int, others: Array, light: Array, own: float) -> tuple[str, float, str]:
-    """How photograph or flat of a lamp fit best, the ratio of the misfit, and which of the two was turned."""
+    """Best way to turn photograph or flat of a lamp, the ratio of the misfit, and which of the two it is."""
     frame = cells.frames[i]
     frames_turned = {
         way: float(_variances(frame[place] - others - light) / own) for way, place in WAYS.items()
