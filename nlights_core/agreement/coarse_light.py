@@ -134,7 +134,7 @@ def centred(logarithms: Array) -> Array:
 
 
 def misfits(first: Array, second: Array) -> Array:
-    """How much each of some pictures departs from each of others, but for a factor.
+    """Misfit of each of some pictures with each of others, but for a factor.
 
     Parameters
     ----------

@@ -66,14 +66,16 @@ def compare_photographs(samples: Samples, tile: Tile, lights: LightField | None)
     Comparison
     """
     found = Comparison()
-    found.add(find_truncated(samples, tile))
-    lit = find_lit_dark(samples, tile)
-    if lit:
-        # It is subtracted from every photograph: none can be judged.
-        found.add(lit)
+    truncated = find_truncated(samples, tile)
+    found.add(truncated)
+    whole = samples.of(found.trusted(samples.lamps))
+    # The dark frame is subtracted from every photograph: with a wrong one none can be judged.
+    lit = [] if any(not warning.lamps for warning in truncated) else find_lit_dark(whole, tile)
+    found.add(lit)
+    if len(whole.lamps) < LEAST_LAMPS or any(not warning.lamps for warning in found.warnings):
         found.final = True
         return found
-    found.add(find_unlit(samples, tile))
+    found.add(find_unlit(whole, tile))
     cells = reduce_to_cells(samples, tile, lights)
     finer = reduce_to_cells(samples, tile, lights, ACROSS)
     found.add(find_turned_together(cells.of(found.trusted(samples.lamps)), tile))
@@ -100,20 +102,18 @@ def _find_misplaced(
     cells: CoarseLight, finer: CoarseLight, lamps: tuple[str, ...], tile: Tile
 ) -> list[CaptureWarning]:
     """Tell exchanged photographs from turned ones, which on a stand with opposite lamps look alike."""
-    turned = find_turned(finer.of(lamps), tile)
-    suspects = _lamps_of(turned)
-    exchanged = find_exchanged(cells.of(lamps), tile, suspects)
-    alone = suspects - _lamps_of(exchanged)
-    if alone:
-        lamps = tuple(lamp for lamp in lamps if lamp not in alone)
-        exchanged = find_exchanged(cells.of(lamps), tile)
-        turned = [warning for warning in turned if alone & set(warning.lamps)]
-    else:
-        turned = []
-    if exchanged:
-        moved = _lamps_of(exchanged)
-        turned += find_turned(finer.of(tuple(lamp for lamp in lamps if lamp not in moved)), tile)
-    return exchanged + turned
+    found: list[CaptureWarning] = []
+    while True:
+        turned = find_turned(finer.of(lamps), tile)
+        suspects = {warning.lamps[0]: float(warning.value or 1) ** -2 for warning in turned}
+        exchanged = find_exchanged(cells.of(lamps), tile, suspects)
+        alone = [warning for warning in turned if warning.lamps[0] not in _lamps_of(exchanged)]
+        # One by one, the most certain first: others may seem wrong by it.
+        told = [max(alone, key=lambda warning: float(warning.value or 1))] if alone else exchanged
+        if not told:
+            return found
+        found += told
+        lamps = tuple(lamp for lamp in lamps if lamp not in _lamps_of(told))
 
 
 def _lamps_of(warnings: Sequence[CaptureWarning]) -> set[str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -28,6 +28,9 @@ lamp's photograph does not fit its flat: it is no exchange."""
 FIRMLY = 0.5
 """The same where one of the photographs, but not all, would fit if it were turned instead."""
 
+RATHER = 4.0
+"""As many times what is left of a photograph's misfit if it is turned may be left of it in an exchange."""
+
 FEW = 6
 SWAPPED_OF_FEW = 0.4
 """`SWAPPED` for fewer than so many lamps, of which one odd photograph shifts what they have in common."""
@@ -46,16 +49,18 @@ class Exchange(NamedTuple):
         Each photograph shows the light of the lamp that follows, the last that of the first.
     ratio : float
         Misfit so over misfit as they are listed.
-    worst : float
-        The same of the photograph that gains least.
+    left : tuple of float
+        The same of each photograph.
     """
 
     lamps: tuple[int, ...]
     ratio: float
-    worst: float
+    left: tuple[float, ...]
 
 
-def find_exchanged(cells: CoarseLight, tile: Tile, suspects: Collection[str] = ()) -> list[CaptureWarning]:
+def find_exchanged(
+    cells: CoarseLight, tile: Tile, suspects: Mapping[str, float] | None = None
+) -> list[CaptureWarning]:
     """Look for photographs, flats, or both, that are listed under each other's lamps.
 
     Parameters
@@ -63,8 +68,8 @@ def find_exchanged(cells: CoarseLight, tile: Tile, suspects: Collection[str] = (
     cells : CoarseLight
         Of lamps that fired.
     tile : Tile
-    suspects : collection of str
-        Lamps whose photograph may be turned instead.
+    suspects : mapping of str to float, optional
+        Lamps whose photograph may be turned instead, and what is left of its misfit then.
 
     Returns
     -------
@@ -76,7 +81,7 @@ def find_exchanged(cells: CoarseLight, tile: Tile, suspects: Collection[str] = (
     frames = centred(cells.frames)
     flats = None if cells.flats is None else centred(cells.flats)
     light = None if cells.computed is None else centred(cells.computed)
-    turned = {i for i, lamp in enumerate(cells.lamps) if lamp in suspects}
+    turned = {cells.lamps.index(lamp): left for lamp, left in (suspects or {}).items()}
     found, named = [], set[int]()
     if flats is not None:
         for exchange in exchanges(misfits(frames, flats)):
@@ -99,13 +104,17 @@ def find_exchanged(cells: CoarseLight, tile: Tile, suspects: Collection[str] = (
     return found
 
 
-def _may_be_turned(exchange: Exchange, suspects: set[int]) -> bool:
+def _may_be_turned(exchange: Exchange, suspects: Mapping[int, float]) -> bool:
     """Test whether an exchange is better explained by photographs that seem turned.
 
-    If all of them do, they are opposite lamps that changed places.
+    If all of them do, and as much is left either way, they are opposite lamps that changed places.
     """
-    among = suspects & set(exchange.lamps)
-    return bool(among) and len(among) < len(exchange.lamps) and exchange.worst > FIRMLY
+    among = [
+        (suspects[i], left) for i, left in zip(exchange.lamps, exchange.left, strict=True) if i in suspects
+    ]
+    if any(left > RATHER * turned for turned, left in among):
+        return True
+    return 0 < len(among) < len(exchange.lamps) and max(exchange.left) > FIRMLY
 
 
 def exchanges(apart: Array) -> list[Exchange]:
@@ -133,14 +142,14 @@ def exchanges(apart: Array) -> list[Exchange]:
         if len(cycle) < 2 or start in seen:
             continue
         seen |= set(cycle)
-        worst = max(float(misfit[i, shown[i]] / misfit[i, i]) for i in cycle)
-        if worst < ITSELF:
-            found.append(Exchange(tuple(int(known[i]) for i in cycle), _ratio(misfit, cycle), worst))
+        left = tuple(float(misfit[i, shown[i]] / misfit[i, i]) for i in cycle)
+        if max(left) < ITSELF:
+            found.append(Exchange(tuple(int(known[i]) for i in cycle), _ratio(misfit, cycle), left))
     return sorted(found, key=lambda exchange: exchange.ratio)
 
 
 def reassign(misfit: Array) -> Array:
-    """Which lamp each photograph shows, (L,), for the best agreement by misfits (L, L).
+    """Lamp that each photograph shows, (L,), for the best agreement by misfits (L, L).
 
     A lamp leaves its place only in a cycle that lowers the misfit to `SWAPPED` of what it was.
     """
@@ -158,7 +167,7 @@ def _ratio(misfit: Array, cycle: list[int] | tuple[int, ...]) -> float:
 
 
 def _which(lamps: tuple[int, ...], frames: Array, flats: Array, light: Array | None) -> str:
-    """Which of the two sets is exchanged, by the light computed from the stand: "frames", "flats" or "either"."""
+    """Set that is exchanged, by the light computed from the stand: "frames", "flats" or "either"."""
     if light is None:
         return "either"
     by_frames = _ratio(misfits(frames, light), lamps)

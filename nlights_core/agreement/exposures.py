@@ -101,7 +101,7 @@ def _of_lamps(
 
 
 def usual_note(notes: Sequence[ExposureNote]) -> ExposureNote:
-    """What most of some exposures note, each part by itself (the median)."""
+    """Median of some exposures, each part by itself."""
 
     def median(values: list[float | None]) -> float | None:
         known = sorted(value for value in values if value is not None)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -72,6 +72,18 @@ class Samples:
     grid: PixelGrid
     block: int
     rows: Rows
+
+    def of(self, lamps: Sequence[str]) -> Samples:
+        """The same of some of the lamps."""
+        chosen = [self.lamps.index(lamp) for lamp in lamps]
+        flats, rows = self.flats, self.rows
+        return replace(
+            self,
+            lamps=tuple(lamps),
+            frames=self.frames[chosen],
+            flats=None if flats is None else flats[chosen],
+            rows=Rows(rows.frames[chosen], None if rows.flats is None else rows.flats[chosen], rows.dark),
+        )
 
 
 def sample_photographs(

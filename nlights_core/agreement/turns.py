@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from nlights_core.agreement.coarse_light import (
@@ -34,20 +36,24 @@ STRANGE = 4.0
 """As many times the median lamp's must the misfit of a turned photograph be as it is: sound ones are alike."""
 
 EITHER = 0.7
-"""Ratio of misfits below which it is told from the picture alone whether the photograph or the flat was turned."""
+"""Ratio of misfits below which the smaller decides: between photograph and flat, or between two ways of turning."""
 
 PATTERN = 0.5
 """Correlation of fine patterns, turned, that is asked for where no flat tells the light: on a sphere, light from the
 left looks like light from the right mirrored.  Photographs of one artwork correlate by 0.7 to 1."""
 
-NO_PATTERN = 0.25
+NO_PATTERN = 0.3
 """Correlation as it is that a turned photograph stays below."""
 
-FINE = 5
-"""Cells over which a pattern is fine."""
+MOST = 0.75
+"""Share of the other photographs that must have that pattern: shading is another from every side."""
 
+FINE = 13
+"""Cells within which a pattern is fine: a sixth of the field."""
+
+HALF_TURN = "turned by 180 degrees"
 WAYS = {
-    "turned by 180 degrees": (slice(None, None, -1), slice(None, None, -1)),
+    HALF_TURN: (slice(None, None, -1), slice(None, None, -1)),
     "mirrored left to right": (slice(None), slice(None, None, -1)),
     "mirrored top to bottom": (slice(None, None, -1), slice(None)),
 }
@@ -110,7 +116,7 @@ def _way_of_all(pairs: tuple[tuple[Array, Array], ...]) -> tuple[str, float, boo
     if not np.isfinite(listed).all():
         return "", float("inf"), False
     turned = {way: np.diag(apart(place)) for way, place in WAYS.items()}
-    way = min(turned, key=lambda way: float(np.nan_to_num(turned[way].sum(), nan=np.inf)))
+    way = likeliest_way({way: float(misfit.sum()) for way, misfit in turned.items()})
     best = turned[way]
     exchanged = listed[np.arange(len(listed)), reassign(listed)].sum()
     if exchanged < SWAPPED * best.sum() or not np.mean(best < as_is) > 0.7:
@@ -119,7 +125,7 @@ def _way_of_all(pairs: tuple[tuple[Array, Array], ...]) -> tuple[str, float, boo
 
 
 def _odd_set(frames: Array, flats: Array, light: Array | None) -> tuple[str, str]:
-    """Which set is turned against which, by the light computed from the stand."""
+    """Set that is turned, and against which, by the light computed from the stand."""
     if light is not None:
         by_frames, by_flats = (float(np.diag(misfits(one, light)).sum()) for one in (frames, flats))
         if min(by_frames, by_flats) < EITHER * max(by_frames, by_flats):
@@ -167,20 +173,31 @@ def find_turned(cells: CoarseLight, tile: Tile) -> list[CaptureWarning]:
     usual = np.nanmedian(own) if np.isfinite(own).any() else np.nan
     found = []
     for i, lamp in enumerate(cells.lamps):
-        if not own[i] > STRANGE * usual:
+        # Without flats the light itself is strange to the others.
+        if not own[i] > (STRANGE if cells.flats is not None else 0) * usual:
             continue
         way, ratio, kind = _best_way(cells, i, others[i], light[i], own[i])
-        if ratio < TURNED and (cells.flats is not None or _pattern_is_turned(frames[i], others[i], way)):
+        if ratio < TURNED and (cells.flats is not None or _pattern_is_turned(frames, others, i, way)):
             found.append(_turned(tile, lamp, way, kind, ratio))
     return found
 
 
+def likeliest_way(misfits: Mapping[str, float]) -> str:
+    """The way of the least misfit; by 180 degrees unless that is clearly worse, for nobody means to mirror."""
+    known = {way: misfit for way, misfit in misfits.items() if np.isfinite(misfit)}
+    best = min(known, key=lambda way: known[way], default=HALF_TURN)
+    half = known.get(HALF_TURN, np.inf)
+    return HALF_TURN if EITHER * half < known.get(best, np.inf) else best
+
+
 def _best_way(cells: CoarseLight, i: int, others: Array, light: Array, own: float) -> tuple[str, float, str]:
-    """How photograph or flat of a lamp fit best, the ratio of the misfit, and which of the two was turned."""
+    """Best way to turn photograph or flat of a lamp, the ratio of the misfit, and which of the two it is."""
     frame = cells.frames[i]
-    frames_turned = {way: _variances(frame[place] - others - light) / own for way, place in WAYS.items()}
-    way = min(frames_turned, key=lambda way: float(np.nan_to_num(frames_turned[way], nan=np.inf)))
-    best = float(frames_turned[way])
+    frames_turned = {
+        way: float(_variances(frame[place] - others - light) / own) for way, place in WAYS.items()
+    }
+    way = likeliest_way(frames_turned)
+    best = frames_turned[way]
     if cells.flats is None:
         return way, best, "frame"
     flat = cells.flats[i]
@@ -188,7 +205,7 @@ def _best_way(cells: CoarseLight, i: int, others: Array, light: Array, own: floa
         way: float(_variances(frame - others - (light - flat + flat[place])) / own)
         for way, place in WAYS.items()
     }
-    way_of_flat = min(flats_turned, key=lambda way: float(np.nan_to_num(flats_turned[way], nan=np.inf)))
+    way_of_flat = likeliest_way(flats_turned)
     best_of_flat = flats_turned[way_of_flat]
     if best < EITHER * best_of_flat:
         return way, best, "frame"
@@ -204,10 +221,13 @@ def _best_way(cells: CoarseLight, i: int, others: Array, light: Array, own: floa
     return (way_of_flat, best_of_flat, kind) if kind == "flat" else (way, best, kind)
 
 
-def _pattern_is_turned(frame: Array, others: Array, way: str) -> bool:
+def _pattern_is_turned(frames: Array, others: Array, i: int, way: str) -> bool:
     """Test whether the fine pattern of a photograph is that of the others turned, whatever the light."""
-    wanted, as_is, turned = (_fine(one) for one in (others, frame, frame[WAYS[way]]))
-    return _correlation(turned, wanted) > PATTERN and _correlation(as_is, wanted) < NO_PATTERN
+    wanted, turned = _fine(others[i]), _fine(frames[(i, *WAYS[way])])
+    alike = [_correlation(_fine(frame), wanted) for frame in frames]
+    # What all others share is no shading.
+    shared = np.mean(np.delete(alike, i) > PATTERN) > MOST
+    return bool(shared and alike[i] < NO_PATTERN and _correlation(turned, wanted) > PATTERN)
 
 
 def _fine(light: Array) -> Array:

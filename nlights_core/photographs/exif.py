@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -35,7 +36,7 @@ class ExposureNote:
     iso: float | None = None
 
     def __str__(self) -> str:
-        """As photographers write it: 1/50 s, f/8, ISO 100."""
+        """Text as photographers write it: 1/50 s, f/8, ISO 100."""
         parts = []
         if self.seconds is not None:
             short = f"1/{1 / self.seconds:.0f}" if self.seconds < 0.3 else f"{self.seconds:g}"
@@ -47,7 +48,7 @@ class ExposureNote:
         return ", ".join(parts) or "nothing noted"
 
     def brighter_than(self, other: ExposureNote) -> float:
-        """How many times as bright the same scene becomes as by another exposure, by what both note."""
+        """Factor by which the same scene becomes brighter than by another exposure, by what both note."""
         ratio = 1.0
         if self.seconds is not None and other.seconds is not None:
             ratio *= self.seconds / other.seconds
@@ -76,7 +77,9 @@ def read_exposure(path: Path) -> ExposureNote:
     OSError
         When the file cannot be opened.
     """
-    with path.open("rb") as file:
+    with path.open("rb") as file, warnings.catch_warnings():
+        # Of a damaged note, which is no fault of a photograph.
+        warnings.simplefilter("ignore")
         start = file.read(8)
         file.seek(0)
         try:
