@@ -14,9 +14,9 @@ import numpy as np
 from nlights_core.frames import Array
 from nlights_core.lamps.spheres import fit_circle
 
-LEAST_SUPPORT = 0.35
+LEAST_SUPPORT = 0.5
 """Share of the outline that must be seen before a circle is believed: photographed spheres show 0.5
-to 0.9, noise pretends 0.2."""
+to 0.9, noise pretends 0.2 and the shadows around a sphere 0.4."""
 
 LEAST_LAMPS = 0.8
 """Share of the lamps whose highlight must be seen in the circle: spheres show all, coins and stones few."""
@@ -87,11 +87,9 @@ def find_spheres(photographs: Array, outlined: Array | None = None) -> list[Foun
     found: list[Found] = []
     for start in _proposals(votes_from):
         circle, support = place_circle(image, start)
-        # A ring within a ring within the outline: the bright lamp's side, the table's edge, the sphere.
-        for larger in (HORIZON, HORIZON):
-            outer, outer_support = place_circle(image, circle * np.array([1, 1, larger]))
-            if support and outer_support >= LEAST_SUPPORT and outer[2] > 1.3 * circle[2]:
-                circle, support = outer, outer_support
+        # A ring within a ring within the outline: a wall's edge, the table's, the sphere's.
+        for _ in range(2):
+            circle, support = outline_around(image, circle, support) or (circle, support)
         if support > 0 and _within(circle, image.shape):
             found.append(Found(circle, support, share_of_highlights(lights, circle)))
     found.sort(key=lambda one: (one.is_sphere, one.lamps * one.support), reverse=True)
@@ -145,6 +143,26 @@ def place_circle(image: Array, start: Array) -> tuple[Array, float]:
         if not _near(circle, start):
             return np.asarray(start, float), 0.0
     return circle, support_of(image, circle)
+
+
+def outline_around(image: Array, circle: Array, support: float) -> tuple[Array, float] | None:
+    """Outline of the sphere in which a circle is the ring where the mirrored table begins; None where it is none.
+
+    Parameters
+    ----------
+    image : (h, w) array
+        Of `log_of`.
+    circle : (3,) array
+    support : float
+        Of the circle.
+
+    Returns
+    -------
+    circle, support : as of `place_circle`
+    """
+    outer, seen = place_circle(image, circle * np.array([1, 1, HORIZON]))
+    larger = outer[2] > 1.3 * circle[2] and support > 0
+    return (outer, seen) if larger and seen >= max(LEAST_SUPPORT, 0.6 * support) else None
 
 
 def support_of(image: Array, circle: Array) -> float:
@@ -202,12 +220,12 @@ def share_of_highlights(lights: Array, circle: Array) -> float:
     left, top = np.maximum(np.floor(circle[:2] - circle[2]), 0).astype(int)
     right, bottom = np.maximum(np.ceil(circle[:2] + circle[2]), 0).astype(int) + 1
     part = lights[:, top:bottom, left:right]
-    rows, columns = np.indices(part.shape[1:])
+    rows, columns = np.mgrid[: part.shape[1], : part.shape[2]]
     # A lamp in front of the artwork is mirrored within 0.71 radii; further out is the table.
     inside = np.hypot(columns + left - circle[0], rows + top - circle[1]) < 0.75 * circle[2]
     if inside.sum() < 9:
         return 0.0
-    columns, rows = columns[inside], rows[inside]
+    columns, rows = np.asarray(columns)[inside], np.asarray(rows)[inside]
     spots = []
     for disc in part[:, inside]:
         peak, usual = float(disc.max()), float(np.median(np.abs(disc)))
@@ -246,7 +264,7 @@ def _proposals(image: Array) -> list[Array]:
 
 def _in_whole(circle: Array, factor: int) -> Array:
     # The centre of a block of pixels lies half a block, less half a pixel, after its first one.
-    return circle * factor + np.array([0.5, 0.5, 0]) * (factor - 1)
+    return np.asarray(circle * factor + np.array([0.5, 0.5, 0]) * (factor - 1))
 
 
 def _reduced(image: Array, factor: int) -> Array:
@@ -316,7 +334,7 @@ def _peaks(votes: Array) -> list[tuple[int, int, int]]:
 
 def _near(circle: Array, start: Array) -> bool:
     return bool(
-        np.hypot(*(circle[:2] - start[:2])) < 0.3 * start[2] + 3
+        np.hypot(circle[0] - start[0], circle[1] - start[1]) < 0.3 * start[2] + 3
         and 0.7 * start[2] - 3 < circle[2] < 1.4 * start[2] + 3
     )
 
@@ -329,7 +347,7 @@ def _within(circle: Array, shape: tuple[int, ...]) -> bool:
 def _is_outline_of(outer: Found, inner: Found) -> bool:
     """Test whether a circle is seen nearly as well as one within it: what is mirrored lies within."""
     apart = np.hypot(*(outer.circle[:2] - inner.circle[:2]))
-    larger = outer.circle[2] > 1.05 * inner.circle[2]
+    larger = outer.circle[2] > 1.2 * inner.circle[2]
     return bool(larger and apart < 0.15 * outer.circle[2] and outer.support > 0.7 * inner.support)
 
 

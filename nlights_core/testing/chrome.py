@@ -114,4 +114,4 @@ def _surroundings(room: Room, lit: Array, seen: Array, x: Array, y: Array, z: Ar
     there = (column >= 0) & (column < width - 1) & (row >= 0) & (row < height - 1)
     at = np.clip(row, 0, height - 1).astype(int), np.clip(column, 0, width - 1).astype(int)
     table = np.where(there, lit[at], 0.3 * (lamp[2] + 0.03))
-    return np.where(seen[..., 2] > 0, walls + glow, table)
+    return np.asarray(np.where(seen[..., 2] > 0, walls + glow, table))

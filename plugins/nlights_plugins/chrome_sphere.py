@@ -21,6 +21,7 @@ from nlights_core.lamps.sphere_search import (
     Found,
     find_spheres,
     log_of,
+    outline_around,
     place_circle,
     support_of,
 )
@@ -136,7 +137,7 @@ class _Probe:
         found = []
         for circle, places, cutting in zip(circles, spots, cuttings, strict=True):
             if stated is None:
-                circle = cutting.placed(circle)
+                circle, _ = cutting.placed(circle)
             else:
                 self._doubt_outline(circle, cutting)
             directions = np.array([mirror_direction(spot, circle) for spot in places])
@@ -157,7 +158,8 @@ class _Probe:
                 f"lamps ({100 * LEAST_LAMPS:.0f} % needed)"
             )
             raise TileError(f"{self._first}: no chrome sphere found: {seen}; {REMEDY}")
-        return [sphere.circle for sphere in spheres]
+        # What is seen much less well than the best is a glint on something round.
+        return [sphere.circle for sphere in spheres if sphere.support > 0.6 * spheres[0].support]
 
     def _found(self) -> tuple[list[Found], list[Found]]:
         """Spheres, and circles that are none; px of the whole photographs."""
@@ -212,20 +214,21 @@ class _Probe:
     def _doubt_outline(self, circle: Array, cutting: _Cutting) -> None:
         """Refuse a stated circle beside the sphere that is seen; warn of one a little beside it."""
         support = cutting.support(circle)
-        if support >= LEAST_SUPPORT:
-            return
-        near = cutting.placed(circle)
-        spheres = [] if _apart(near, circle) > BESIDE else [near]
-        if not spheres:
-            spheres = [one.circle for one in self._found()[0] if one.support >= 0.5]
         stated = f"tile {self._tile.name}: the stated circle of the sphere, {_said(circle)}"
-        if spheres:
-            nearest = min(spheres, key=lambda other: _apart(other, circle))
-            if _apart(nearest, circle) > BESIDE:
-                raise TileError(
-                    f"{stated}, is not where the outline of one is seen, {_said(nearest)}; state that, or nothing, "
-                    "to have it found"
-                )
+        if support >= LEAST_SUPPORT:
+            seen = cutting.around(circle, support)
+        else:
+            near, clear = cutting.placed(circle)
+            seen = near if clear else None
+            if seen is None:
+                others = [one.circle for one in self._found()[0]]
+                seen = min(others, key=lambda other: _apart(other, circle), default=None)
+        if seen is not None and _apart(seen, circle) > BESIDE:
+            raise TileError(
+                f"{stated}, is not where the outline of one is seen, {_said(seen)}; state that, or nothing, to "
+                "have it found"
+            )
+        if seen is not None or support >= LEAST_SUPPORT:
             return
         warn(
             CaptureWarning(
@@ -250,7 +253,7 @@ class _Cutting:
 
     def __init__(self, circle: Array) -> None:
         self._factor = max(1, round(circle[2] / RADIUS))
-        self._around = circle * np.array([1, 1, 1.2]) + np.array([0, 0, 8])
+        self._around = circle * np.array([1, 1, 1.6]) + np.array([0, 0, 8])
         self._greys: list[Array] = []
         self._corner = np.zeros(3)
 
@@ -265,21 +268,30 @@ class _Cutting:
         return log_of(np.median(self._greys, axis=0))
 
     def _shift(self) -> Array:
-        return np.array([0.5, 0.5, 0]) * (self._factor - 1)
+        return np.asarray(np.array([0.5, 0.5, 0]) * (self._factor - 1))
 
     def support(self, circle: Array) -> float:
         """Share of the circle's outline that is seen."""
         if not min(self._image().shape):
             return 0.0
-        return support_of(self._image(), (circle - self._corner - self._shift()) / self._factor)
+        return support_of(self._image(), self._inside(circle))
 
-    def placed(self, circle: Array) -> Array:
-        """The circle along the outline, px of the whole photograph; the same where none is seen."""
-        start = (circle - self._corner - self._shift()) / self._factor
-        found, support = place_circle(self._image(), start)
-        if support < LEAST_SUPPORT:
-            return circle
-        return np.asarray(found * self._factor + self._shift() + self._corner)
+    def around(self, circle: Array, support: float) -> Array | None:
+        """The outline within which the circle is only the edge of the mirrored table, if one is seen."""
+        found = outline_around(self._image(), self._inside(circle), support)
+        return self._outside(found[0]) if found else None
+
+    def placed(self, circle: Array) -> tuple[Array, bool]:
+        """The circle along the outline, px of the whole photograph; the same, and false, where none is seen."""
+        found, support = place_circle(self._image(), self._inside(circle))
+        clear = support >= LEAST_SUPPORT
+        return (self._outside(found), True) if clear else (circle, False)
+
+    def _inside(self, circle: Array) -> Array:
+        return np.asarray((circle - self._corner - self._shift()) / self._factor)
+
+    def _outside(self, circle: Array) -> Array:
+        return np.asarray(circle * self._factor + self._shift() + self._corner)
 
 
 def _stated(tile: Tile, sphere: Sphere, read: Read) -> Array | None:
