@@ -109,7 +109,7 @@ def log_of(image: Array) -> Array:
 
 
 def wandering(photographs: Array) -> Array:
-    """By how much each photograph is brighter than the median of all: what moves with the lamps."""
+    """Excess of each photograph over the median of all: what moves with the lamps."""
     return np.asarray(photographs - np.median(photographs, axis=0))
 
 

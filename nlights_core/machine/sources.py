@@ -16,6 +16,7 @@ _IMPORT = re.compile(r"^\s*from (nlights_core[\w.]*) import (\([^)]*\)|[^\n]*)",
 EVERYTHING_RESTS_ON = (
     "algorithms",
     "capture",
+    "capture_warnings",
     "contracts",
     "fields",
     "files",

@@ -16,7 +16,7 @@ from nlights_core.frames import Array
 
 @dataclass(frozen=True)
 class Room:
-    """What is around the spheres.
+    """Surroundings of the spheres.
 
     Attributes
     ----------

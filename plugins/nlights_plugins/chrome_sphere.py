@@ -249,7 +249,7 @@ class _Probe:
 
 
 class _Cutting:
-    """What is around a circle in the photographs, in pixels that place its outline well."""
+    """Surroundings of a circle in the photographs, in pixels that place its outline well."""
 
     def __init__(self, circle: Array) -> None:
         self._factor = max(1, round(circle[2] / RADIUS))
@@ -326,7 +326,7 @@ def _check_agreement(tile: Tile, seen: list[tuple[Array, Array]]) -> None:
 
 
 def _apart(a: Array, b: Array) -> float:
-    """How far two circles are from each other, in radii of the second."""
+    """Distance of two circles, in radii of the second."""
     return float(max(np.hypot(a[0] - b[0], a[1] - b[1]), abs(a[2] - b[2])) / b[2])
 
 
