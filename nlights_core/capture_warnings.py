@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
+
+from nlights_core.machine.progress import note
 
 FILE = "warnings.json"
 """Where a tile's warnings stand, beside its numbers."""
@@ -56,3 +60,27 @@ def read_warnings(folder: Path) -> list[CaptureWarning]:
         CaptureWarning(**{**record, "lamps": tuple(record["lamps"])})
         for record in json.loads(path.read_text(encoding="utf-8"))
     ]
+
+
+_gathered: ContextVar[list[CaptureWarning] | None] = ContextVar("_gathered", default=None)
+
+
+def warn(warning: CaptureWarning) -> None:
+    """Warn from within an algorithm: said at once, and kept by the stage that runs it."""
+    note(warning.sentence)
+    found = _gathered.get()
+    if found is not None:
+        found.append(warning)
+
+
+@contextmanager
+def gathered(folder: Path) -> Iterator[None]:
+    """Keep what `warn` says while the block lasts in a stage's folder, if it says anything."""
+    found: list[CaptureWarning] = []
+    before = _gathered.set(found)
+    try:
+        yield
+    finally:
+        _gathered.reset(before)
+    if found:
+        write_warnings(folder, found)

@@ -6,13 +6,17 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 from nlights_core.frames import Array
+from nlights_core.integration.cost import announce, warn_unsettled
 from nlights_core.integration.masked_poisson import solve_embedded
 from nlights_core.integration.multigrid import MULTIGRID, solve_weighted
 from nlights_core.integration.poisson import Stencil, add_divergence, add_plane, mean_per_island, mean_steps
-from nlights_core.memory import require
+from nlights_core.machine.progress import part
 
 SINGLE = 1e-6
 """Where single precision ends: a residual that has fallen to this share."""
+
+LABYRINTH_ITERATIONS = 400
+"""Multigrid ends in any case after so many iterations."""
 
 
 def masked_least_squares(
@@ -76,15 +80,25 @@ def solve_masked(source: Array, known: Array, tolerance: float = SINGLE) -> Arra
     """
     if source.dtype == np.float32:
         tolerance = max(tolerance, SINGLE)
-    height, left = solve_embedded(source, known, tolerance)
+    with part(0.0, 0.25):
+        height, left = solve_embedded(source, known, tolerance)
     if left > tolerance:
-        require(MULTIGRID * source.size, "integrator: a field whose known parts are like a labyrinth")
+        announce(
+            "a field whose known parts are like a labyrinth",
+            source.size,
+            MULTIGRID,
+            0,
+            LABYRINTH_ITERATIONS,
+        )
         pairs = known[:, 1:] & known[:, :-1], known[1:] & known[:-1]
         weights = [both.astype(np.float32) for both in pairs]
         rest = np.zeros_like(source)
         np.negative(source, out=source)
         residual = source.astype(np.float64)
-        solve_weighted(rest, residual, weights, tolerance / left, 1000)
+        with part(0.25, 1.0):
+            further = solve_weighted(rest, residual, weights, tolerance / left, LABYRINTH_ITERATIONS)
+        if further > tolerance / left:
+            warn_unsettled(further * left, tolerance, LABYRINTH_ITERATIONS)
         height += rest
     return height
 

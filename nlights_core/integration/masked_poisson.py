@@ -7,16 +7,20 @@ import numpy as np
 from nlights_core.frames import Array
 from nlights_core.integration.poisson import row_slices, solve_poisson
 from nlights_core.machine.band_threads import in_order
+from nlights_core.machine.progress import tell
 
 LINES = 16
 """Lines that are worked on at once: they fit into a core's cache."""
+
+MOST_ITERATIONS = 40
+"""Iterations after which it ends in any case."""
 
 TRIAL = 10
 """Iterations after which it is seen whether it will end in time."""
 
 
 def solve_embedded(
-    residual: Array, known: Array, tolerance: float, most_iterations: int = 40
+    residual: Array, known: Array, tolerance: float, most_iterations: int = MOST_ITERATIONS
 ) -> tuple[Array, float]:
     """Solve a masked Poisson equation by conjugate gradients, as far as they come fast.
 
@@ -56,6 +60,7 @@ def solve_embedded(
         product = -_dot(residual, change)
         first = first or product
         share = float(np.sqrt(max(product, 0.0) / first)) if first > 0 else 0.0
+        tell(iteration / most_iterations)
         late = iteration >= TRIAL and share ** (most_iterations / iteration) > tolerance
         if share <= tolerance or late or iteration == most_iterations:
             break

@@ -12,6 +12,7 @@ from nlights_core.frames import Array
 from nlights_core.integration.poisson import BAND, row_slices
 from nlights_core.machine.band_threads import in_order
 from nlights_core.machine.kernel_switch import available
+from nlights_core.machine.progress import tell
 
 Result = TypeVar("Result")
 
@@ -281,8 +282,8 @@ def _dot(a: Array, b: Array) -> float:
 
 
 def solve_weighted(
-    height: Array, residual: Array, weights: list[Array], tolerance: float, most_iterations: int = 200
-) -> None:
+    height: Array, residual: Array, weights: list[Array], tolerance: float, most_iterations: int
+) -> float:
     """Solve by flexible conjugate gradients, from ``height`` on and in place.
 
     Parameters
@@ -299,6 +300,11 @@ def solve_weighted(
     most_iterations : int
         It ends here in any case.
 
+    Returns
+    -------
+    float
+        The share to which the residual has fallen; above ``tolerance`` only where the iterations ran out.
+
     Notes
     -----
     Preconditioner and directions are float32, the residual float64: in float32 its sum over an
@@ -307,14 +313,21 @@ def solve_weighted(
     across, down = weights
     preconditioner = Multigrid(across, down)
     # Here ``residual`` still is the right-hand side, that of a plane; only then the start is taken off.
-    enough = tolerance**2 * _dot(residual, preconditioner.correct(residual))
+    whole = _dot(residual, preconditioner.correct(residual))
+    enough = tolerance**2 * whole
     subtract_laplacian(residual, 1.0, height, across, down, residual)
     direction = np.zeros(height.shape, np.float32)
-    stiffness = 1.0
-    for _ in range(most_iterations):
+    stiffness, share_done, left = 1.0, 0.0, 1.0
+    for iteration in range(most_iterations):
         correction = preconditioner.correct(residual)
-        if _dot(residual, correction) <= enough:
+        product = _dot(residual, correction)
+        left = float(np.sqrt(max(product, 0.0) / whole)) if whole > 0 else 0.0
+        if product <= enough:
             break
+        # Whichever ends it: it falls by a like factor each time, or runs out of iterations.
+        fallen = np.log(max(left, tolerance)) / np.log(tolerance) if tolerance < 1 else 1.0
+        share_done = max(share_done, fallen, iteration / most_iterations)
+        tell(share_done)
         # Orthogonal to the last direction itself: the preconditioner is not linear, so the short formula fails.
         share = np.float32(-laplacian_product(correction, direction, across, down) / stiffness)
         for lines in row_slices(len(height)):
@@ -326,3 +339,4 @@ def solve_weighted(
         subtract_laplacian(residual, length, direction, across, down, residual)
         for lines in row_slices(len(height)):
             height[lines] += length * direction[lines].astype(np.float64)
+    return left

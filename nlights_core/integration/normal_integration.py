@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from nlights_core.frames import Array, PixelGrid
+from nlights_core.integration.cost import announce
 from nlights_core.integration.masked_integration import solve_masked
+from nlights_core.integration.masked_poisson import MOST_ITERATIONS
 from nlights_core.integration.poisson import (
     BAND,
     Stencil,
@@ -17,7 +19,6 @@ from nlights_core.integration.poisson import (
 from nlights_core.integration.sight_lines import ALL, facing_rays, ray_slopes, seen_gradient, seen_surface
 from nlights_core.machine.band_threads import in_order
 from nlights_core.machine.kernel_switch import available, read_only
-from nlights_core.memory import require
 
 HALO = 3
 """Rows beyond a band that its steps depend on."""
@@ -66,7 +67,7 @@ def least_squares_height(
     elif unknown == height.size:
         return np.full(grid.shape, np.nan, np.float32)
     else:
-        require(MASKED * height.size, "integrator: a field with unknown parts")
+        announce("a field with unknown parts", height.size, MASKED, MOST_ITERATIONS, 0)
         known = np.empty(grid.shape, bool)
         for lines in row_slices(grid.rows):
             known[lines] = np.isfinite(facing_rays(normals[lines], grid, lines))

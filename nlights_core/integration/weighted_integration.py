@@ -17,12 +17,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from nlights_core.frames import Array, PixelGrid
+from nlights_core.integration.cost import announce, warn_unsettled
 from nlights_core.integration.multigrid import MULTIGRID, solve_weighted
 from nlights_core.integration.normal_integration import HALO, SAMPLE, sample_rows, sampled_tilt
 from nlights_core.integration.poisson import Stencil, certain_steps, row_slices
 from nlights_core.integration.sight_lines import facing_rays, ray_slopes, seen_gradient, seen_surface
 from nlights_core.machine.band_threads import in_order
-from nlights_core.memory import require
+from nlights_core.machine.progress import part
 
 LINES = 32
 """Rows that are turned into steps at once."""
@@ -35,6 +36,13 @@ PASSES = 4
 
 PASS_TOLERANCE, LAST_TOLERANCE = 1e-3, 1e-4
 """A pass, and the last one, ends when the residual has fallen to this share of a plane's."""
+
+PASS_ITERATIONS, LAST_ITERATIONS = 40, 120
+"""A pass, and the last one, ends in any case after so many iterations.
+
+Real fields need 2 to 24, and 5 to 70 at the end.  The next pass goes on from where one ended, so
+only the last one's matter.
+"""
 
 OUTLYING = 5.0
 """Steps that miss by more standard deviations count by the size of the miss, not by its square."""
@@ -116,19 +124,26 @@ def weighted_height(
     Y. Queau, J.-D. Durou, J.-F. Aujol, "Variational methods for normal integration", J. Math.
     Imaging Vis. 60 (2018) 609-632, for losses that let the height jump.
     """
-    require(MULTIGRID * grid.rows * grid.columns, "integrator: normals of very different certainty")
+    most = PASS_ITERATIONS * PASSES + LAST_ITERATIONS
+    announce("normals of very different certainty", grid.rows * grid.columns, MULTIGRID, 0, most)
     tilt = sampled_tilt(normals, grid, STEEPEST_DEG)
     directions, known = _directions(normals, grid, confidence, stencil, tilt)
     height = np.zeros(known.shape, normals.dtype)
     if known.any():
         weights = [(d.certainty > 0).astype(np.float32) for d in directions]
-        solve_weighted(height, _source(directions, weights), weights, PASS_TOLERANCE)
-        for left in reversed(range(PASSES)):
-            del weights
-            weights = _weights(height, directions, grid)
-            tolerance = PASS_TOLERANCE if left else LAST_TOLERANCE
-            solve_weighted(height, _source(directions, weights), weights, tolerance)
+        for k in range(PASSES + 1):
+            if k:
+                del weights
+                weights = _weights(height, directions, grid)
+            last = k == PASSES
+            tolerance = LAST_TOLERANCE if last else PASS_TOLERANCE
+            iterations = LAST_ITERATIONS if last else PASS_ITERATIONS
+            # The last pass takes as long as all the others.
+            with part(k / (2 * PASSES), 1.0 if last else (k + 1) / (2 * PASSES)):
+                left = solve_weighted(height, _source(directions, weights), weights, tolerance, iterations)
         del weights
+        if left > tolerance:
+            warn_unsettled(left, tolerance, iterations)
     del directions
     height[~known] = np.nan
     seen_surface(height, tilt, None if grid.camera is None else grid.camera[2])

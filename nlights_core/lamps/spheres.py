@@ -6,6 +6,8 @@ directions are in the plane frame (y up).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from nlights_core.frames import Array
@@ -97,89 +99,6 @@ def circle_of_mask(mask: Array) -> Array:
     return fit_circle(outline, tolerance=max(1.0, 0.002 * len(outline)))
 
 
-def find_circle(photographs: Array) -> tuple[Array, float]:
-    """Outline of a chrome sphere, found in its photographs.
-
-    A circular Hough transform of the edges of the mean photograph, reduced to about 250 px,
-    gives a start.  Then the outline is sought along 720 rays in the median photograph (the
-    highlights move from lamp to lamp and vanish in it): the outermost place where brightness
-    still changes half as fast as at its steepest, because near its limb the sphere mirrors the
-    background just outside and the steepest place lies a little inside.  A robust fit passes
-    over the stand, the reflections and the shadows.
-
-    Parameters
-    ----------
-    photographs : (L, h, w) array
-        Grey photographs of one sphere under all lamps, or one in even light, which shows the
-        outline better; its radius is from 12 to 55 % of the shorter side.
-
-    Returns
-    -------
-    circle : (3,) float64 array
-        Column and row of the centre, radius; px.
-    support : float
-        Share of the rays, from 0 to 1, whose edge lies within 2 % of the radius of the circle;
-        chance alone gives a quarter.
-    """
-    circle = _hough_circle(np.mean(photographs, axis=0))
-    median = _log(np.median(photographs, axis=0))
-    for width in (0.08, 0.04, 0.02):
-        points, _ = _outline_points(median, circle, width)
-        if len(points) < 3:
-            return circle, 0.0
-        circle = fit_circle(points, tolerance=max(0.5, 0.002 * circle[2]))
-    # Judged in a wide ring again: in a narrow one any edge is close to the circle.
-    points, seen = _outline_points(median, circle, 0.08)
-    distance = np.hypot(points[:, 0] - circle[0], points[:, 1] - circle[1]) - circle[2]
-    return circle, float(np.mean(np.abs(distance) < 0.02 * circle[2])) * seen
-
-
-def _log(image: Array) -> Array:
-    """Logarithm with a floor at one hundredth of the median: edges in the dark count too."""
-    return np.asarray(np.log(image + 0.01 * np.median(image) + 1e-3))
-
-
-def _hough_circle(image: Array) -> Array:
-    """Most voted circle among an image's edges, to a few per cent of its radius; px."""
-    from scipy.ndimage import gaussian_filter
-    from skimage.feature import canny
-    from skimage.transform import hough_circle
-
-    factor = max(1, round(max(image.shape) / 250))
-    h, w = (size // factor * factor for size in image.shape)
-    small = image[:h, :w].reshape(h // factor, factor, w // factor, factor).mean(axis=(1, 3))
-    quantiles = {"use_quantiles": True, "low_threshold": 0.7, "high_threshold": 0.9}
-    edges = canny(_log(small), sigma=1.5, **quantiles)  # type: ignore[no-untyped-call]
-    radii = np.arange(max(3, int(0.12 * min(small.shape))), int(0.55 * min(small.shape)) + 1)
-    # Votes are blurred over neighbouring circles: a photographed outline is no perfect circle.
-    votes = hough_circle(edges, radii, full_output=True)  # type: ignore[no-untyped-call]
-    votes = gaussian_filter(votes, 1)
-    index, row, column = np.unravel_index(votes.argmax(), votes.shape)
-    centre = np.array([column, row]) - radii[-1]
-    return np.array([*(centre * factor + (factor - 1) / 2), radii[index] * factor], float)
-
-
-def _outline_points(image: Array, circle: Array, width: float) -> tuple[Array, float]:
-    """Outermost strong edge on each ray within ``width`` radii; points (n, 2), share of rays."""
-    from scipy.ndimage import gaussian_filter, map_coordinates
-
-    smooth = gaussian_filter(image, max(0.7, circle[2] / 300))
-    angle = np.linspace(0, 2 * np.pi, 720, endpoint=False)
-    radius = np.arange(circle[2] * (1 - width), circle[2] * (1 + width), 0.5)[:, None]
-    if len(radius) < 2:
-        return np.empty((0, 2)), 0.0
-    column, row = circle[0] + radius * np.cos(angle), circle[1] + radius * np.sin(angle)
-    change = np.abs(np.gradient(map_coordinates(smooth, [row, column], order=1, mode="nearest"), axis=0))
-    h, w = image.shape
-    change[(column < 1) | (column > w - 2) | (row < 1) | (row > h - 2)] = 0
-    steepest = change.max(axis=0)
-    outermost = len(radius) - 1 - (change >= 0.5 * steepest)[::-1].argmax(axis=0)
-    clear = (steepest > 0.5 * np.median(steepest)) & (steepest > 0)
-    rays = np.arange(len(angle))
-    points = np.stack([column[outermost, rays], row[outermost, rays]], axis=1)
-    return points[clear], float(clear.mean())
-
-
 def highlight_centre(grey: Array, circle: Array, threshold: float) -> Array:
     """Place of the lamp's highlight on a chrome sphere.
 
@@ -222,7 +141,14 @@ def highlight_centre(grey: Array, circle: Array, threshold: float) -> Array:
         bright = disc >= 0.9 * peak
     if bright.mean() > 0.1:
         raise ValueError(f"{100 * bright.mean():.0f} % of the disc are bright, a highlight is below 10 %")
-    return np.array([np.median(columns[inside][bright]), np.median(rows[inside][bright])])
+    spot = np.array([np.median(columns[inside][bright]), np.median(rows[inside][bright])])
+    away = np.hypot(columns[inside][bright] - spot[0], rows[inside][bright] - spot[1])
+    together = float(np.mean(away < max(2.0, 0.3 * circle[2])))
+    if together < 0.5:
+        raise ValueError(
+            f"its bright pixels lie scattered, only {100 * together:.0f} % of them together as a mirror has them"
+        )
+    return spot
 
 
 def mirror_direction(highlight: Array, circle: Array) -> Array:
@@ -255,3 +181,54 @@ def mirror_direction(highlight: Array, circle: Array) -> Array:
     y = (circle[1] - highlight[1]) / circle[2]
     normal = np.array([x, y, np.sqrt(max(0.0, 1 - x * x - y * y))])
     return np.asarray(2 * normal[2] * normal - np.array([0.0, 0.0, 1.0]))
+
+
+BUNCHED_DEG = 6.0
+"""Directions that are no further from their mean, rms, are no rig's: real ones have 14 to 25."""
+
+LEANING_DEG = 50.0
+"""Inclination of the mean of all directions that no rig has: lamps stand around the artwork."""
+
+THINNEST = 0.05
+"""Least singular value of directions over sqrt(L), below which all lie in one plane: real ones have 0.15 up."""
+
+COINCIDENT_DEG = 1.0
+"""Two lamps are not so near to each other: one bright spot was taken for the highlights of both."""
+
+
+def doubt_of_directions(directions: Array, lamps: Sequence[str]) -> str | None:
+    """Reason why directions are those of no rig, as a clause; None where there is none.
+
+    Parameters
+    ----------
+    directions : (L, 3) array
+        Unit vectors to the lamps.  Fewer than three are not judged.
+    lamps : sequence of str
+        Their names.
+    """
+    if len(directions) < 3:
+        return None
+    mean = directions.mean(axis=0)
+    mean = mean / np.linalg.norm(mean)
+    spread = float(np.degrees(np.sqrt(np.mean(np.arccos(np.clip(directions @ mean, -1, 1)) ** 2))))
+    lean = float(np.degrees(np.arccos(np.clip(mean[2], -1, 1))))
+    if spread < BUNCHED_DEG:
+        return (
+            f"the highlights are bunched: all lamps would be within {spread:.1f} degrees (rms) of one direction, "
+            f"and a rig's are {BUNCHED_DEG:.0f} at the least"
+        )
+    if lean > LEANING_DEG:
+        return (
+            f"all lamps would stand on one side, {lean:.0f} degrees from the camera in the mean, and a rig's "
+            f"stand around the artwork ({LEANING_DEG:.0f} at the most)"
+        )
+    near = np.triu(np.degrees(np.arccos(np.clip(directions @ directions.T, -1, 1))) < COINCIDENT_DEG, 1)
+    if near.any():
+        first, second = (lamps[k] for k in np.argwhere(near)[0])
+        return (
+            f"lamps {first} and {second} would be less than {COINCIDENT_DEG:.0f} degree apart: a spot that does "
+            "not move was taken for their highlights"
+        )
+    if np.linalg.svd(directions, compute_uv=False)[-1] < THINNEST * np.sqrt(len(directions)):
+        return "all lamps would lie in one plane with the artwork, and a rig's stand around it"
+    return None

@@ -6,10 +6,11 @@ from pathlib import Path
 
 from nlights_core.algorithms import Integrator
 from nlights_core.capture import Tile
+from nlights_core.capture_warnings import gathered
 from nlights_core.contracts import verbs
 from nlights_core.fields import NormalField
 from nlights_core.files.arrays import read_array, write_array
-from nlights_core.machine.progress import Progress
+from nlights_core.machine.progress import Progress, telling
 from nlights_core.memory import require
 from nlights_core.photographs.headers import grid_of, survey
 from nlights_core.store import ArtefactRef, Store, Work, describe
@@ -37,6 +38,8 @@ def height(store: Store, tile: Tile, integrator: Integrator, normals: ArtefactRe
         )
         source = store.path(normals)
         field = NormalField(read_array(source / "normals.npy"), grid, read_array(source / "confidence.npy"))
-        write_array(folder / "height.npy", verbs.integrate(integrator, field))
+        with gathered(folder), telling(progress):
+            found = verbs.integrate(integrator, field)
+        write_array(folder / "height.npy", found)
 
     return Work(ref, record, make)

@@ -9,11 +9,12 @@ import numpy as np
 
 from nlights_core.algorithms import LightModel
 from nlights_core.capture import Sphere, Tile
+from nlights_core.capture_warnings import gathered
 from nlights_core.contracts import verbs
 from nlights_core.errors import TileError
 from nlights_core.frames import Array
 from nlights_core.lamps.strengths import refine_by_photographs
-from nlights_core.machine.progress import Progress
+from nlights_core.machine.progress import Progress, telling
 from nlights_core.names.listed import FOLDERS
 from nlights_core.photographs.images import Photograph, probe, reduce_photograph
 from nlights_core.photographs.masks import Mask
@@ -66,7 +67,8 @@ def lights(store: Store, tile: Tile, model: LightModel) -> Work:
                 with Photograph(path, tile.encoding, scratch) as photograph:
                     return reduce_photograph(photograph, reduce, keep_saturated=True)
 
-            field = verbs.locate(model, tile, read)
+            with gathered(folder), telling(progress):
+                field = verbs.locate(model, tile, read)
             if model.refine:
                 field = refine_by_photographs(tile, field, model.prior, scratch)
         write_json(folder / "lights.json", field.record())

@@ -123,7 +123,7 @@ def test_a_sphere_without_a_highlight_is_refused():
 
 def test_photographs_without_a_circle_are_refused_with_the_remedy():
     noise = np.random.default_rng(0).random((200, 260, 3)).astype(np.float32)
-    with pytest.raises(TileError, match=r"no circle found.*circle_px, points_px or mask"):
+    with pytest.raises(TileError, match=r"no chrome sphere found.*circle_px .*points_px or mask"):
         ChromeSphere().locate(drawn_tile(), lambda path, *, reduce=1: noise)
 
 

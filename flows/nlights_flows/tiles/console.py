@@ -6,7 +6,7 @@ import json
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 from types import TracebackType
@@ -22,6 +22,7 @@ from nlights_core.capture_warnings import read_warnings
 from nlights_core.errors import CaptureError
 from nlights_core.machine import compilation
 from nlights_core.machine.compilation import Compilation
+from nlights_core.machine.progress import noting
 from nlights_core.recipe import Recipe
 from nlights_core.registry import Registry
 from nlights_flows.tiles.chain import steps
@@ -84,13 +85,21 @@ class TileProgress:
         self._compiling: TaskID | None = None
         self._lost = False
         self._done, self._started, self._ended = 0.0, 0.0, 0
-        self._listening = compilation.call_on_compiling(self._compiles)
+        self._listening = ExitStack()
 
     def __enter__(self) -> TileProgress:
         if self._live:
             self._progress.start()
-        self._listening.__enter__()
+        self._listening.enter_context(compilation.call_on_compiling(self._compiles))
+        self._listening.enter_context(noting(self._notes))
         return self
+
+    def _notes(self, sentence: str) -> None:
+        """Say what a stage says of itself."""
+        if self._live:
+            self._progress.console.print(sentence, markup=False, highlight=False)
+        elif self._lines:
+            print(sentence, file=sys.stderr, flush=True)
 
     def _compiles(self, so_far: Compilation) -> None:
         """Say why the first painting takes longer, and once that the second will too."""
@@ -108,7 +117,7 @@ class TileProgress:
     def __exit__(
         self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._listening.__exit__(kind, fault, trace)
+        self._listening.close()
         if self._lines and self._compiling is not None:
             print(f"compiled {len(compilation.so_far().names)} loops", file=sys.stderr, flush=True)
         if self._live:

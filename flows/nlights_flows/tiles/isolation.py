@@ -8,7 +8,7 @@ as always.
 from __future__ import annotations
 
 import inspect
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from nlights_core import stages
 from nlights_core.algorithms import KINDS, Algorithm
 from nlights_core.capture import Tile
 from nlights_core.errors import TileError
-from nlights_core.machine.progress import Progress
+from nlights_core.machine.progress import Progress, note, noting
 from nlights_core.registry import installed
 from nlights_core.store import ArtefactRef, Store, Work, sweep
 from nlights_flows.tiles import children
@@ -73,6 +73,8 @@ def ensure(
                 for said in child.words():
                     if "share" in said:
                         progress(said["share"])
+                    elif "sentence" in said:
+                        note(said["sentence"])
                     else:
                         answer = said
                         break
@@ -188,5 +190,10 @@ def _done(job: dict[str, Any], progress: Progress) -> dict[str, Any]:
         return {"fault": explain_fault(fault, store)}
 
 
+def _answer(job: dict[str, Any], say: Callable[..., None]) -> None:
+    with noting(lambda sentence: say(sentence=sentence)):
+        say(**_done(job, lambda share: say(share=share)))
+
+
 if __name__ == "__main__":
-    children.answer(lambda job, say: say(**_done(job, lambda share: say(share=share))))
+    children.answer(_answer)
