@@ -124,18 +124,27 @@ def check_tile(tile: Tile, recipe: Recipe, progress: Callable[[float], None]) ->
                     progress(0.9 * (i + part) / (1 + flats))
 
                 _read(tile, which, store, finding, share)
-        made = {} if lacking else _ask_chain(tile, recipe, store, finding, MADE if fit else MADE[:1])
-        if "agreement" in made:
-            finding.warnings += read_warnings(store.path(made["agreement"]))
-        elif fit:  # the lamps are not known: what can be said without is
-
-            def examined() -> None:
-                with store.scratch() as place:
-                    finding.warnings += examine_photographs(tile, None, flats, place)
-
-            _answered(finding, store, examined)
+        made = {} if lacking else _ask_chain(tile, recipe, store, finding, MADE if fit else ("lights",))
+        _warn(tile, fit, flats, store, made, finding)
         progress(1.0)
     return finding
+
+
+def _warn(
+    tile: Tile, fit: bool, flats: bool, store: Store, made: dict[str, ArtefactRef], finding: Finding
+) -> None:
+    """Take down the warnings of the stages that were made, those of the photographs first."""
+    if not fit:
+        finding.warnings += tile.warnings
+    elif "agreement" not in made:  # the lamps are not known: what can be said without is
+
+        def examined() -> None:
+            with store.scratch() as place:
+                finding.warnings += examine_photographs(tile, None, flats, place)
+
+        _answered(finding, store, examined)
+    for stage in sorted(made):  # agreement before all others
+        finding.warnings += read_warnings(store.path(made[stage]))
 
 
 def _answered(finding: Finding, store: Store, ask: Callable[[], object]) -> bool:
