@@ -35,7 +35,7 @@ turned ones below 0.3."""
 FEW = 6
 TURNED_OF_FEW = 0.1
 """`TURNED` for a whole set of fewer than so many lamps, of which one odd photograph shifts what all have in common.
-Sets that are turned stay below 0.05."""
+Nine of ten sets of 4 lamps that are turned stay below it; sound ones stay above 0.7."""
 
 STRANGE = 4.0
 """As many times the median lamp's must the misfit of a turned photograph be as it is: sound ones are alike."""
