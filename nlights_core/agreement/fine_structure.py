@@ -1,0 +1,153 @@
+"""Fine structure: what the details of several photographs have in common, as sums of products over tiles."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import shift, uniform_filter
+
+from nlights_core.agreement.details import Detail, Surroundings
+from nlights_core.agreement.relative_light import FEWEST
+from nlights_core.frames import Array
+from nlights_core.machine.band_threads import in_order
+
+SMOOTH, WIDE = 3, 9
+"""Fine structure is a mean over 3 x 3 samples less the mean over 9 x 9: noise below it is averaged, and light
+that the model of the lamps does not explain is broader."""
+
+BRIGHTEST = np.float32(1.5)
+"""Light above this, relative to the mean of the lamps, is cut off: it is a highlight, which moves by itself."""
+
+EDGE = 32
+"""Edge of a tile, samples: over it a lamp's direction hardly changes."""
+
+UNKNOWN = 0.3
+"""A lamp of whose tile more than this share is not known is left out there."""
+
+
+@dataclass(frozen=True)
+class FineStructure:
+    """Sums of products over T tiles of the fine structure of L photographs and its two gradients.
+
+    Attributes
+    ----------
+    products : (T, 3L, 3L) float64 array
+        Relative to the local light, without what three numbers a place explain: ``x . products . x``
+        is what the photographs leave unexplained after a combination x of them, of their gradients
+        to the right and of those downwards.
+    powers : (T, L, L) float64 array
+        Products of the photographs' fine structure with each other, as it is.
+    freedom : (T, L, L) float64 array
+        What takes off the explained part; 0 for lamps that a tile leaves out.
+    groups : (T,) int array
+        Quarter of the photographs that a tile lies in.
+    """
+
+    products: Array
+    powers: Array
+    freedom: Array
+    groups: Array
+
+    def left(self) -> Array:
+        """What is left unexplained in every tile, (T,)."""
+        count = self.powers.shape[1]
+        return np.asarray(self.products[:, :count, :count].sum(axis=(1, 2)))
+
+
+def fine_structure(details: Sequence[Detail], around: Surroundings, moves: Array) -> FineStructure:
+    """Sum the products of details of one size.
+
+    Parameters
+    ----------
+    details : sequence of Detail
+    around : Surroundings
+    moves : (L, 2) array
+        Movement right and down that is taken back before, px.
+
+    Returns
+    -------
+    FineStructure
+    """
+    parts = [_of_detail(detail, around, moves) for detail in details]
+    return FineStructure(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
+
+
+def _of_detail(detail: Detail, around: Surroundings, moves: Array) -> tuple[Array, Array, Array, Array]:
+    count, height, width = detail.images.shape
+    pixels = moves / detail.scale
+    margin = int(np.ceil(np.abs(pixels).max()))
+    border = margin + WIDE // 2 + 2
+    images, known = _filled(detail.images)
+    level = uniform_filter(images.mean(axis=0), WIDE)
+    level = np.maximum(level, 1e-2 * float(np.abs(level).mean()) + 1e-9)
+    stack = np.empty((3, count, height, width), np.float32)
+
+    def prepare(i: int) -> None:
+        image = images[i]
+        if pixels[i].any():
+            image = shift(image, -pixels[i, ::-1], order=3, mode="nearest")
+        smooth = np.minimum(uniform_filter(image, SMOOTH) / level, BRIGHTEST)
+        smooth -= uniform_filter(smooth, WIDE)
+        stack[0, i] = smooth
+        np.subtract(smooth[:, 2:], smooth[:, :-2], out=stack[1, i, :, 1:-1])
+        np.subtract(smooth[2:], smooth[:-2], out=stack[2, i, 1:-1])
+
+    list(in_order(prepare, range(count)))
+    rows, columns = height - 2 * border, width - 2 * border
+    if min(rows, columns) < 4:
+        empty = np.zeros((0, 3 * count, 3 * count))
+        return empty, empty[:, :count, :count], empty[:, :count, :count], np.zeros(0, int)
+    edge = EDGE if min(rows, columns) >= 3 * EDGE else max(4, min(rows, columns) // 3)
+    down, across = rows // edge, columns // edge
+    high, wide = rows // down, columns // across
+
+    def cut(maps: Array) -> Array:
+        inner = maps[..., border : border + down * high, border : border + across * wide]
+        blocks = inner.reshape(*maps.shape[:-2], down, high, across, wide)
+        return np.moveaxis(blocks, (-4, -2), (0, 1)).reshape(down * across, *maps.shape[:-2], high * wide)
+
+    included = np.ones((down * across, count), bool)
+    tiles = cut(stack)
+    if known is not None:
+        reach = WIDE + SMOOTH + 2 * margin
+        missing: Array = np.stack([uniform_filter((~one).astype(np.float32), reach) for one in known])
+        unsure: Array = cut(missing) > 1e-5
+        included &= unsure.mean(axis=-1) < UNKNOWN
+        usable: Array = ~np.any(unsure & included[:, :, None], axis=1)
+        tiles = tiles * usable[:, None, None, :]
+    flat = tiles.reshape(down * across, 3 * count, high * wide)
+    grams = (flat @ flat.swapaxes(1, 2)).astype(float)
+    grams[:, count:] *= 0.5
+    grams[:, :, count:] *= 0.5
+    middle_y = detail.top + (border + (np.arange(down) + 0.5) * high) * detail.scale
+    middle_x = detail.left + (border + (np.arange(across) + 0.5) * wide) * detail.scale
+    y, x = (places.ravel() for places in np.meshgrid(middle_y, middle_x, indexing="ij"))
+    half_y, half_x = high * detail.scale / 2, wide * detail.scale / 2
+    lit = [around.lit(b - half_y, b + half_y, a - half_x, a + half_x) for b, a in zip(y, x, strict=True)]
+    included &= np.stack(lit)
+    vectors = around.vectors(y, x)
+    freedom = np.stack([_freedom(vectors[:, t], included[t]) for t in range(len(y))])
+    products = grams * np.tile(freedom, (1, 3, 3))
+    groups = 2 * (y > around.shape[0] / 2) + (x > around.shape[1] / 2)
+    return products, grams[:, :count, :count], freedom, groups
+
+
+def _filled(images: Array) -> tuple[Array, Array | None]:
+    """Images in which the mean of the other lamps stands where one is not known, and what is known, if not all."""
+    known = np.isfinite(images)
+    if known.all():
+        return images, None
+    there = np.where(known, images, np.float32(0))
+    mean = there.sum(axis=0) / np.maximum(known.sum(axis=0), 1)
+    return np.where(known, images, mean), known
+
+
+def _freedom(vectors: Array, included: Array) -> Array:
+    """Projection of the lamps' light on what three numbers a place do not explain, (L, L)."""
+    found = np.zeros((len(vectors), len(vectors)))
+    if included.sum() >= FEWEST:
+        basis, _ = np.linalg.qr(vectors[included].astype(float))
+        found[np.ix_(included, included)] = np.eye(len(basis)) - basis @ basis.T
+    return found

@@ -1,0 +1,114 @@
+"""Gains: photographs that are brighter or darker throughout than their flats and the other lamps say."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nlights_core.agreement.explanations import Misfit
+from nlights_core.agreement.relative_light import FEWEST, RelativeLight
+from nlights_core.frames import Array
+
+PLACES = 6000
+"""Samples looked at, spread over the artwork: a gain is one number."""
+
+LEAST = 0.08
+"""Deviation of a gain from 1 that is told.  Lamps drift by 1 %; of sound captures one whose gloss or height
+the model does not know reads up to 0.13, but `EXPLAINED` holds it."""
+
+EXPLAINED = 0.6
+"""What one photograph's gain may leave of the disagreement.  Sound captures leave 0.64 and more, those with
+a gain of 0.92 or beyond 0.74; a photograph at 0.8 of its exposure leaves 0.01 to 0.6."""
+
+ALIKE = 0.15
+"""The same of a common gain of several: that all low lamps are darker is what gloss or height do, too, and
+leaves 0.43 and more; another exposure from one photograph on leaves 0.003 to 0.06 on matt artworks."""
+
+SIMPLER = 0.4
+"""What the gains of several must leave of what the gain of one leaves, to be said in its stead."""
+
+CLEARER = 1.2
+"""How much more the next best lamp must leave: else it is not told which it is."""
+
+
+@dataclass(frozen=True)
+class Gain:
+    """A common gain of some photographs against their flats and the other lamps.
+
+    Attributes
+    ----------
+    lamps : tuple of int
+    gain : float
+        1: as it should be.
+    """
+
+    lamps: tuple[int, ...]
+    gain: float
+
+
+def find_gains(relative: RelativeLight) -> list[Gain]:
+    """Find photographs at another level than all others.
+
+    Parameters
+    ----------
+    relative : RelativeLight
+        With flats: without, a lamp's level is not known.
+
+    Returns
+    -------
+    list of Gain
+        Of different lamps; empty where no gain explains why they disagree.
+    """
+    misfit = _misfit(*some_places(relative))
+    if misfit is None:
+        return []
+    best: list[Gain] = []
+    least = misfit.level
+    before: tuple[int, ...] = ()
+    for size, together in misfit.kinds():
+        ranked = misfit.ranked(size, together, before)
+        (rest, before, changes), following = ranked[0], ranked[1][0]
+        gains = 1 / (1 + changes[list(before), 0])
+        if np.abs(gains - 1).min() < LEAST or rest > SIMPLER * least:
+            continue
+        # Whatever else was said so far, this explains it much better.
+        clear = rest < (EXPLAINED if size == 1 else ALIKE) * misfit.level and following > CLEARER * rest
+        lamps = [before] if together else [(lamp,) for lamp in before]
+        best = [Gain(some, float(gains[k])) for k, some in enumerate(lamps)] if clear else []
+        least = rest if clear or size == 1 else least
+    return best
+
+
+def some_places(relative: RelativeLight) -> tuple[Array, Array, Array]:
+    """Light (L, n), vectors (L, n, 3) and weights (L, n), 0 where not known or in shadow, at some places."""
+    count = len(relative.lamps)
+    y, x = np.nonzero(np.isfinite(relative.light).sum(axis=0) >= min(count, FEWEST))
+    # A stride that is no divisor of the width spreads them in both directions.
+    step = max(1, len(y) // PLACES)
+    y, x = y[::step], x[::step]
+    light = relative.light[:, y, x]
+    lit = ~relative.shaded[:, y // relative.patch, x // relative.patch]
+    weights = (np.isfinite(light) & lit).astype(np.float32)
+    return np.where(weights > 0, light, np.float32(0)), relative.vectors[:, y, x], weights
+
+
+def unexplained(vectors: Array, weights: Array) -> Array:
+    """Projection of light on what three numbers a place do not explain, (n, L, L); 0 for lamps of weight 0."""
+    basis, _ = np.linalg.qr((vectors * weights[..., None]).swapaxes(0, 1))
+    return np.asarray(weights.T[:, :, None] * np.eye(len(weights)) - basis @ basis.swapaxes(1, 2))
+
+
+def _misfit(light: Array, vectors: Array, weights: Array) -> Misfit | None:
+    """What the lamps leave unexplained of each other, by the relative change of each; None where little is known."""
+    known = weights.sum(axis=0) >= FEWEST
+    if known.sum() < 50:
+        return None
+    light, vectors, weights = light[:, known], vectors[:, known], weights[:, known]
+    level = np.where(weights > 0, light, np.float32(np.nan))
+    light = (light / np.maximum(np.nanmedian(level, axis=0), 1e-6)).T
+    free = unexplained(vectors, weights)
+    squares = (np.einsum("nij,nj->ni", free, light) ** 2).sum(axis=1)
+    trust = 1 / (1 + squares / max(float(np.median(squares)), 1e-12))
+    products = np.einsum("n,nij,ni,nj->ij", trust, free, light, light, optimize=True).astype(float)
+    return Misfit(products, products.sum(axis=1), float(products.sum()), len(products))
