@@ -14,7 +14,8 @@ from nlights_core.fields import LightField
 from nlights_core.frames import Array
 from nlights_core.machine.band_threads import in_order
 from nlights_core.photographs.development import Darkroom, darkroom
-from nlights_core.photographs.images import Photograph, grey, is_saturated, linear_light
+from nlights_core.photographs.images import Photograph, grey, is_saturated
+from nlights_core.photographs.tone_curves import linear_light
 
 WHOLE = 1 << 19
 """Pixels up to which a photograph is looked at as a whole; of a larger one, a part of each quarter."""
