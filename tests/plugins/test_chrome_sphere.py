@@ -82,7 +82,7 @@ def test_clicked_points_and_a_mask_cut_by_the_stand_give_the_circle():
 
 def test_spheres_are_averaged_as_unit_vectors():
     frames = {"a": Path("a")}
-    moved = (CIRCLE[0] + 3.0, *CIRCLE[1:])
+    moved = (CIRCLE[0] + 1.5, *CIRCLE[1:])
     spheres = (Sphere(frames=frames, circle_px=CIRCLE), Sphere(frames=frames, circle_px=moved))
     tiles = [
         Tile(artwork="a", name="t", frames=frames, spheres=s) for s in (spheres, spheres[:1], spheres[1:])
