@@ -185,9 +185,7 @@ def _exchanged(names: tuple[str, ...], tile: Tile, exchange: Exchange, which: st
     following = [*lamps[1:], lamps[0]]
     pairs = list(zip(lamps, following, strict=True))
     times = exchange.ratio**-0.5 if exchange.ratio > 0 else float("inf")
-    better = (
-        f"(so they agree {times:.1f} times better; photographs in their places agree best as they are listed)"
-    )
+    better = f"(taken so, they agree {times:.1f} times better)"
     correct = "correct the names of the files or their lamps in artwork.yaml"
     if which == "flats":
         shown = listed([f"{flat_name(tile, other)} shows the light of lamp {lamp}" for lamp, other in pairs])

@@ -167,6 +167,8 @@ def summarise_night(record: NightRecord) -> str:
         parts.append(f"{_count(elsewhere, 'tile')} at work elsewhere")
     if states["waiting"]:
         parts.append(f"{_count(states['waiting'], 'folder')} waiting")
+    if warned := sum(bool(tile.warnings) for tile in record.tiles if tile.state == "done"):
+        parts.append(f"{_count(warned, 'tile')} with a warning")
     for word, said in (("fail", "beyond a limit"), ("warn", "to be watched")):
         if bad := sum(tile.verdict == word for tile in record.tiles if tile.state != "failed"):
             parts.append(f"{_count(bad, 'tile')} {said}")
