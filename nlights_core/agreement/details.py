@@ -23,10 +23,10 @@ WHOLE = 1 << 19
 ROWS, COLUMNS = 256, 1024
 """Size of such a part, px: wide, because whole rows are read."""
 
-MOST = 1 << 22
+MOST = 8_000_000
 """Values kept at most, of all lamps; above, means over 2 x 2 or 4 x 4 px are, which still tell 0.3 px."""
 
-LEVELS = 4
+LEVELS = 5
 """Details are looked at in so many sizes, each half of the one before: the coarsest follows 20 px and more."""
 
 LEAST = 12
@@ -154,13 +154,12 @@ def _parts(
     height = min(rows // 2, max(height, ROWS * COLUMNS // width))
     block = samples.block
     # Where the samples differ from their neighbours there is texture or relief, and mostly finer detail too.
-    with np.errstate(invalid="ignore", divide="ignore"):
-        mean = np.nanmean(relative.light, axis=0) if relative.light.size else relative.light[0]
+    seen = np.isfinite(relative.light)
+    mean = np.where(seen, relative.light, np.float32(0)).sum(axis=0) / np.maximum(seen.sum(axis=0), 1)
     detail = np.zeros_like(mean)
-    level = np.nanmedian(mean) if np.isfinite(mean).any() else 1.0
+    level = max(float(np.median(mean)), 1e-6)
     detail[:-1, :-1] = (np.diff(mean, axis=0)[:, :-1] ** 2 + np.diff(mean, axis=1)[:-1] ** 2) / level**2
-    known = np.isfinite(detail) & samples.inside
-    detail = np.where(known, np.minimum(detail, 0.01), np.float32(0))
+    detail = np.where(seen.any(axis=0) & samples.inside, np.minimum(detail, 0.01), np.float32(0))
     # What is not known, or in shadow, says nothing: a part that is mostly known is wanted.
     shaded = np.repeat(np.repeat(relative.shaded.mean(axis=0), relative.patch, 0), relative.patch, 1)
     detail *= 1 - shaded[: detail.shape[0], : detail.shape[1]]
@@ -222,7 +221,8 @@ def _related(detail: Detail, around: Surroundings) -> Detail:
         images = images - enlarge(samples.dark[None], samples.block, rows, columns)
     divisors = relative.divisors
     if divisors.shape[1:] != (1, 1):
-        divisors = enlarge(divisors, samples.block, rows, columns)
+        # Dust on the flat would be a texture that lies still in all photographs.
+        divisors = enlarge(relative.smooth_divisors, samples.block, rows, columns)
     images = images / divisors
     if not samples.inside.all():
         near = enlarge(samples.inside[None].astype(np.float32), samples.block, rows, columns)

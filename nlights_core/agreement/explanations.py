@@ -16,7 +16,7 @@ import numpy as np
 from nlights_core.frames import Array
 
 FEW = 10
-"""Lamps up to which all sets of photographs are tried; of more, neighbours in order, and one more at a time."""
+"""Lamps up to which all sets of photographs are tried; of more, the first and the last, and one more at a time."""
 
 TINY = 1e-30
 """What keeps a sum over nothing from dividing by zero."""
@@ -77,7 +77,7 @@ class Misfit:
     def ranked(
         self, size: int, together: bool, before: Sequence[int]
     ) -> list[tuple[float, tuple[int, ...], Array]]:
-        """Explanations of a kind: what each leaves, its lamps and their changes; the best first.
+        """Explanations of a kind: what each leaves, its lamps and their changes; the best first, or none.
 
         Parameters
         ----------
@@ -99,10 +99,10 @@ class Misfit:
                 yield from combinations(everyone, several)
         elif together:
             for several in range(2, self.lamps // 2 + 1):
-                for first in everyone:
-                    yield tuple(sorted((first + k) % self.lamps for k in range(several)))
+                yield tuple(everyone[:several])
+                yield tuple(everyone[-several:])
         elif self.lamps <= FEW or size == 1:
             yield from combinations(everyone, size)
-        else:
+        elif size == len(before) + 1:
             for lamp in set(everyone) - set(before):
                 yield tuple(sorted([*before, lamp]))

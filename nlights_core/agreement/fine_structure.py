@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.ndimage import shift, uniform_filter
@@ -41,14 +42,29 @@ class FineStructure:
         Products of the photographs' fine structure with each other, as it is.
     freedom : (T, L, L) float64 array
         What takes off the explained part; 0 for lamps that a tile leaves out.
-    groups : (T,) int array
-        Quarter of the photographs that a tile lies in.
+    places : (T, 2) float array
+        Row and column of each tile's middle, px.
     """
 
     products: Array
     powers: Array
     freedom: Array
-    groups: Array
+    places: Array
+
+    @cached_property
+    def quarters(self) -> Array:
+        """Which quarter of all tiles each belongs to, (T,): 0 to 3, of about as many tiles each."""
+        lower = self.places[:, 0] > np.median(self.places[:, 0])
+        right = np.zeros(len(lower), bool)
+        for half in (lower, ~lower):
+            if half.any():
+                right[half] = self.places[half, 1] > np.median(self.places[half, 1])
+        return np.asarray(2 * lower + right)
+
+    def share(self) -> float:
+        """Unexplained share of the fine structure, over all tiles."""
+        whole = float(np.einsum("tii,tii->", self.powers, self.freedom))
+        return float(self.left().sum()) / whole if whole > 0 else 1.0
 
     def left(self) -> Array:
         """What is left unexplained in every tile, (T,)."""
@@ -98,7 +114,7 @@ def _of_detail(detail: Detail, around: Surroundings, moves: Array) -> tuple[Arra
     rows, columns = height - 2 * border, width - 2 * border
     if min(rows, columns) < 4:
         empty = np.zeros((0, 3 * count, 3 * count))
-        return empty, empty[:, :count, :count], empty[:, :count, :count], np.zeros(0, int)
+        return empty, empty[:, :count, :count], empty[:, :count, :count], np.zeros((0, 2))
     edge = EDGE if min(rows, columns) >= 3 * EDGE else max(4, min(rows, columns) // 3)
     down, across = rows // edge, columns // edge
     high, wide = rows // down, columns // across
@@ -117,21 +133,22 @@ def _of_detail(detail: Detail, around: Surroundings, moves: Array) -> tuple[Arra
         included &= unsure.mean(axis=-1) < UNKNOWN
         usable: Array = ~np.any(unsure & included[:, :, None], axis=1)
         tiles = tiles * usable[:, None, None, :]
-    flat = tiles.reshape(down * across, 3 * count, high * wide)
-    grams = (flat @ flat.swapaxes(1, 2)).astype(float)
-    grams[:, count:] *= 0.5
-    grams[:, :, count:] *= 0.5
     middle_y = detail.top + (border + (np.arange(down) + 0.5) * high) * detail.scale
     middle_x = detail.left + (border + (np.arange(across) + 0.5) * wide) * detail.scale
     y, x = (places.ravel() for places in np.meshgrid(middle_y, middle_x, indexing="ij"))
     half_y, half_x = high * detail.scale / 2, wide * detail.scale / 2
     lit = [around.lit(b - half_y, b + half_y, a - half_x, a + half_x) for b, a in zip(y, x, strict=True)]
     included &= np.stack(lit)
-    vectors = around.vectors(y, x)
-    freedom = np.stack([_freedom(vectors[:, t], included[t]) for t in range(len(y))])
-    products = grams * np.tile(freedom, (1, 3, 3))
-    groups = 2 * (y > around.shape[0] / 2) + (x > around.shape[1] / 2)
-    return products, grams[:, :count, :count], freedom, groups
+    some = np.flatnonzero((included.sum(axis=1) >= FEWEST) & tiles.any(axis=(1, 2, 3)))
+    flat = tiles[some].reshape(len(some), 3 * count, high * wide)
+    grams = (flat @ flat.swapaxes(1, 2)).astype(float)
+    grams[:, count:] *= 0.5  # central differences are over two samples
+    grams[:, :, count:] *= 0.5
+    vectors = around.vectors(y[some], x[some])
+    freedom = np.array([_freedom(vectors[:, k], included[t]) for k, t in enumerate(some)])
+    freedom = freedom.reshape(-1, count, count)
+    places = np.stack([y[some], x[some]], axis=1)
+    return grams * np.tile(freedom, (1, 3, 3)), grams[:, :count, :count], freedom, places
 
 
 def _filled(images: Array) -> tuple[Array, Array | None]:
@@ -147,7 +164,6 @@ def _filled(images: Array) -> tuple[Array, Array | None]:
 def _freedom(vectors: Array, included: Array) -> Array:
     """Projection of the lamps' light on what three numbers a place do not explain, (L, L)."""
     found = np.zeros((len(vectors), len(vectors)))
-    if included.sum() >= FEWEST:
-        basis, _ = np.linalg.qr(vectors[included].astype(float))
-        found[np.ix_(included, included)] = np.eye(len(basis)) - basis @ basis.T
+    basis, _ = np.linalg.qr(vectors[included].astype(float))
+    found[np.ix_(included, included)] = np.eye(len(basis)) - basis @ basis.T
     return found

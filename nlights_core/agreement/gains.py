@@ -60,14 +60,17 @@ def find_gains(relative: RelativeLight) -> list[Gain]:
     list of Gain
         Of different lamps; empty where no gain explains why they disagree.
     """
-    misfit = _misfit(*some_places(relative))
-    if misfit is None:
+    _, _, light, vectors, weights = places(relative)
+    if light.shape[1] < 50:
         return []
+    misfit = _misfit(light, vectors, weights)
     best: list[Gain] = []
     least = misfit.level
     before: tuple[int, ...] = ()
     for size, together in misfit.kinds():
         ranked = misfit.ranked(size, together, before)
+        if len(ranked) < 2:
+            break
         (rest, before, changes), following = ranked[0], ranked[1][0]
         gains = 1 / (1 + changes[list(before), 0])
         if np.abs(gains - 1).min() < LEAST or rest > SIMPLER * least:
@@ -80,17 +83,33 @@ def find_gains(relative: RelativeLight) -> list[Gain]:
     return best
 
 
-def some_places(relative: RelativeLight) -> tuple[Array, Array, Array]:
-    """Light (L, n), vectors (L, n, 3) and weights (L, n), 0 where not known or in shadow, at some places."""
-    count = len(relative.lamps)
-    y, x = np.nonzero(np.isfinite(relative.light).sum(axis=0) >= min(count, FEWEST))
+def places(relative: RelativeLight) -> tuple[Array, Array, Array, Array, Array]:
+    """Choose samples that enough lamps light.
+
+    Parameters
+    ----------
+    relative : RelativeLight
+
+    Returns
+    -------
+    y, x : (n,) int arrays
+        Which samples.
+    light : (L, n) float32 array
+        0 where not known.
+    vectors : (L, n, 3) float32 array
+    weights : (L, n) float32 array
+        0 where not known or in shadow, else 1.
+    """
+    lit = ~np.repeat(np.repeat(relative.shaded, relative.patch, axis=1), relative.patch, axis=2)
+    _, rows, columns = relative.light.shape
+    usable = np.isfinite(relative.light) & lit[:, :rows, :columns]
+    y, x = np.nonzero(usable.sum(axis=0) >= FEWEST)
     # A stride that is no divisor of the width spreads them in both directions.
     step = max(1, len(y) // PLACES)
     y, x = y[::step], x[::step]
-    light = relative.light[:, y, x]
-    lit = ~relative.shaded[:, y // relative.patch, x // relative.patch]
-    weights = (np.isfinite(light) & lit).astype(np.float32)
-    return np.where(weights > 0, light, np.float32(0)), relative.vectors[:, y, x], weights
+    weights = usable[:, y, x].astype(np.float32)
+    light = np.where(weights > 0, relative.light[:, y, x], np.float32(0))
+    return y, x, light, relative.vectors[:, y, x], weights
 
 
 def unexplained(vectors: Array, weights: Array) -> Array:
@@ -99,16 +118,12 @@ def unexplained(vectors: Array, weights: Array) -> Array:
     return np.asarray(weights.T[:, :, None] * np.eye(len(weights)) - basis @ basis.swapaxes(1, 2))
 
 
-def _misfit(light: Array, vectors: Array, weights: Array) -> Misfit | None:
-    """What the lamps leave unexplained of each other, by the relative change of each; None where little is known."""
-    known = weights.sum(axis=0) >= FEWEST
-    if known.sum() < 50:
-        return None
-    light, vectors, weights = light[:, known], vectors[:, known], weights[:, known]
+def _misfit(light: Array, vectors: Array, weights: Array) -> Misfit:
+    """Misfit of the lamps as a function of the relative change of each."""
     level = np.where(weights > 0, light, np.float32(np.nan))
     light = (light / np.maximum(np.nanmedian(level, axis=0), 1e-6)).T
     free = unexplained(vectors, weights)
     squares = (np.einsum("nij,nj->ni", free, light) ** 2).sum(axis=1)
     trust = 1 / (1 + squares / max(float(np.median(squares)), 1e-12))
-    products = np.einsum("n,nij,ni,nj->ij", trust, free, light, light, optimize=True).astype(float)
+    products = np.einsum("n,nij,ni,nj->ij", trust, free, light, light).astype(float)
     return Misfit(products, products.sum(axis=1), float(products.sum()), len(products))

@@ -27,8 +27,18 @@ FOLLOWED = 0.2
 EXPLAINED = 0.85
 """Share of what free movements of all photographs would explain that a smaller set of them must."""
 
+TILES = 12
+"""Tiles that must show something: fewer do not say whether a photograph moved or a highlight did."""
+
+FEW_TILES = 6
+"""The same of coarse details, which have fewer, and which finer ones confirm."""
+
 ROUNDS = 4
 """Rounds at most at each size of details; one is enough where nothing moved."""
+
+BETTER = 0.98
+"""What bringing the photographs back must leave of the disagreement, at most.  It is mostly noise where the
+artwork has hardly any texture."""
 
 SETTLED = 0.1
 """Change of a movement in samples below which a round was the last."""
@@ -81,18 +91,26 @@ def find_moves(levels: Sequence[Sequence[Detail]], around: Surroundings) -> tupl
         for _ in range(ROUNDS):
             structure = fine_structure(details, around, moves.pixels)
             before = moves.pixels
-            moves = _follow(structure, before, scale, least)
+            if np.count_nonzero(structure.left() > 0) < (FEW_TILES if level else TILES):
+                moves = Moves(np.zeros_like(before), False)
+                break
+            moves = _follow(structure, before, scale, least, level == 0)
             if np.abs(moves.pixels - before).max() < SETTLED * scale:
                 break
+    if moves.pixels.any():
+        still = np.zeros_like(moves.pixels)
+        pairs = (
+            [fine_structure(one, around, way).share() for way in (moves.pixels, still)] for one in levels[:3]
+        )
+        if all(brought > BETTER * left for brought, left in pairs):
+            return Moves(still, False), fine_structure(levels[0], around, still)
     return moves, structure
 
 
-def _follow(structure: FineStructure, moves: Array, scale: int, least: float) -> Moves:
+def _follow(structure: FineStructure, moves: Array, scale: int, least: float, last: bool) -> Moves:
     """Better movements, as far as they are certain and not below ``least`` px."""
     nothing = Moves(np.zeros_like(moves), False)
     left = structure.left()
-    if not np.any(left > 0):
-        return nothing
     weights = 1 / (left + np.median(left[left > 0]))
     misfit = _misfit((structure.products * weights[:, None, None]).sum(axis=0), moves / scale)
     count = len(moves)
@@ -100,10 +118,13 @@ def _follow(structure: FineStructure, moves: Array, scale: int, least: float) ->
     best, enough = nothing, False
     before: tuple[int, ...] = ()
     for size, together in misfit.kinds():
-        rest, lamps, pixels = misfit.ranked(size, together, before)[0]
+        ranked = misfit.ranked(size, together, before)
+        if not ranked:
+            break
+        rest, lamps, pixels = ranked[0]
         sizes = np.hypot(*pixels[list(lamps)].T) * scale
         sure = sizes.min() > least and _certain(
-            structure, weights, misfit, moves / scale, lamps, together, pixels
+            structure, weights, misfit, moves / scale, lamps, together, pixels, 3 if last else 2
         )
         if enough and not sure:
             break
@@ -121,6 +142,7 @@ def _certain(
     lamps: Sequence[int],
     together: bool,
     found: Array,
+    quarters: int,
 ) -> bool:
     """Test whether each movement is much larger than its error, and the same in the quarters of the photographs."""
     count = len(found)
@@ -138,14 +160,14 @@ def _certain(
         if size < CERTAIN * np.sqrt(along @ along):
             return False
         apart = []
-        for quarter in np.unique(structure.groups):
-            inside = structure.groups == quarter
+        for quarter in range(4):
+            inside = structure.quarters == quarter
             own = (structure.products[inside] * weights[inside, None, None]).sum(axis=0)
             pair = [count + lamp, 2 * count + lamp]
             # With all else as found, what movement this quarter alone would want beside.
             wanted = np.linalg.lstsq(own[np.ix_(pair, pair)], own[pair] @ combination, rcond=1e-3)[0]
             if own[pair, pair].any():
                 apart.append(float(np.hypot(*wanted)))
-        if not apart or np.median(apart) > QUARTERS * size:
+        if len(apart) < quarters or np.median(apart) > QUARTERS * size:
             return False
     return True

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from nlights_core.agreement.additive_light import Light, find_light
 from nlights_core.agreement.details import LEAST, LEVELS, read_details
 from nlights_core.agreement.gains import Gain, find_gains
 from nlights_core.agreement.movement import Moves, find_moves
@@ -16,6 +17,9 @@ from nlights_core.agreement.samples import Samples
 from nlights_core.capture import Tile
 from nlights_core.capture_warnings import CaptureWarning
 from nlights_core.fields import LightField
+
+ALIKE = 0.3
+"""Movements that differ by less, px, are told as one: it was one push."""
 
 
 def compare_with_predictions(
@@ -57,6 +61,9 @@ def compare_with_predictions(
         gains = find_gains(relative) if relative.with_flats else []
         found += _of_gains(gains, relative, tile)
         relative = _levelled(relative, gains)
+        light = find_light(relative) if relative.with_flats else None
+        if light is not None and light.certain:
+            found.append(_of_light(light))
         progress(0.6)
         details, around = read_details(tile, samples, relative, lights, scratch)
         progress(0.8)
@@ -109,14 +116,34 @@ def _of_gains(gains: Sequence[Gain], relative: RelativeLight, tile: Tile) -> lis
     return found
 
 
+def _of_light(light: Light) -> CaptureWarning:
+    """The warning of light that the flats have not."""
+    share = 100 * light.share
+    return CaptureWarning(
+        "additive-light",
+        f"the photographs of the artwork hold light that its lamps did not give: {share:.1f} % (+- "
+        f"{100 * light.error:.1f}) of the flats' median, in all of them and not in the flats; darken the room as "
+        "for the flats, see that the dark frame is of the same exposure, and photograph the artwork again",
+        (),
+        round(share, 2),
+        "%",
+    )
+
+
 def _of_moves(moves: Moves, relative: RelativeLight, tile: Tile) -> list[CaptureWarning]:
-    """Warnings of photographs that moved; one for all that moved alike."""
-    moved = np.flatnonzero(moves.pixels.any(axis=1))
-    sets = [moved] if moves.together and moved.size else [moved[k : k + 1] for k in range(len(moved))]
+    """Warnings of photographs that moved; one for those that moved alike."""
+    sets: list[list[int]] = []
+    for lamp in np.flatnonzero(moves.pixels.any(axis=1)):
+        for alike in sets:
+            if np.hypot(*(moves.pixels[lamp] - moves.pixels[alike[0]])) < ALIKE:
+                alike.append(int(lamp))
+                break
+        else:
+            sets.append([int(lamp)])
     found = []
     for some in sets:
         lamps = tuple(relative.lamps[i] for i in some)
-        across, down = (float(value) for value in moves.pixels[some[0]])
+        across, down = (float(value) for value in moves.pixels[some].mean(axis=0))
         length = float(np.hypot(across, down))
         found.append(
             CaptureWarning(

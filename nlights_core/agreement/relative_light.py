@@ -8,8 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from scipy.ndimage import minimum_filter, uniform_filter
 
 from nlights_core.agreement.samples import Samples
 from nlights_core.fields import LightField
@@ -25,14 +27,20 @@ cast: no paint is so dark nearly all over a patch under one lamp only."""
 BRIGHT = 0.8
 """Which quantile of a patch its brighter places are: lines that moved do not reach it, nor do small highlights."""
 
+DARK, DEEP = 0.2, 0.5
+"""The same of the darker places of a patch, so that the edge of a shadow is seen as well."""
+
 PATCHES = 24
 """Patches across a photograph in which shadows are looked for."""
 
-FITTED = 4000
+FITTED = 1500
 """About how many samples the strengths of the lamps are fitted to: two or three numbers a lamp need no more."""
 
-ROUNDS = 30
-"""Rounds of that fit; from strengths that differ by half it has settled after some twenty."""
+ROUNDS = 20
+"""Rounds of that fit; from strengths that differ by half it has settled by then."""
+
+DUST = 15
+"""Samples over which flats are averaged, so that nothing of their dust is left."""
 
 DIM = 1e-4
 """Share of saturation below which a flat, or the brightest lamp at a place, says nothing."""
@@ -68,11 +76,15 @@ class RelativeLight:
     patch: int
     with_flats: bool
 
-    def of(self, kept: Sequence[int]) -> RelativeLight:
-        """The same of some lamps, by their indices."""
-        names = tuple(self.lamps[i] for i in kept)
-        rest = (self.divisors[kept], self.vectors[kept], self.shaded[kept], self.patch, self.with_flats)
-        return RelativeLight(names, self.light[kept], *rest)
+    @cached_property
+    def smooth_divisors(self) -> Array:
+        """The divisors without noise and dust, (L, h, w) or (L, 1, 1) float32."""
+        if self.divisors.shape[1:] == (1, 1):
+            return self.divisors
+        known = np.isfinite(self.divisors).astype(np.float32)
+        total = uniform_filter(np.nan_to_num(self.divisors), (1, DUST, DUST), mode="nearest")
+        share = uniform_filter(known, (1, DUST, DUST), mode="nearest")
+        return np.where(share > 0.01, total / np.maximum(share, np.float32(0.01)), np.float32(np.nan))
 
 
 def relate_samples(samples: Samples, lamps: Sequence[str], lights: LightField) -> RelativeLight:
@@ -191,18 +203,21 @@ def _shaded(light: Array, vectors: Array, patch: int) -> Array:
         padded.reshape(count, down, patch, across, patch).swapaxes(2, 3).reshape(count, down * across, -1)
     )
     known = np.isfinite(blocks)
-    rank = int(BRIGHT * (blocks.shape[-1] - 1))
-    top = np.partition(np.where(known, blocks, np.float32(0)), rank, axis=-1)[..., rank]
     middle_y = np.minimum(np.arange(down) * patch + patch // 2, rows - 1)
     middle_x = np.minimum(np.arange(across) * patch + patch // 2, columns - 1)
     directions = vectors[:, middle_y][:, :, middle_x].reshape(count, -1, 3)
     weights = known.any(axis=-1).astype(np.float32)
-    shaded = np.zeros(top.shape, bool)
-    for _ in range(2):
-        # The darkest first: a shadow lowers the predictions of the others.
-        predicted, _, _ = left_out(top, directions, weights * ~shaded)
-        with np.errstate(invalid="ignore"):
-            shaded |= (weights > 0) & (top < SHADED * predicted)
+    shaded = np.zeros(weights.shape, bool)
+    ranks = [int(share * (blocks.shape[-1] - 1)) for share in (BRIGHT, DARK)]
+    ordered = np.partition(np.where(known, blocks, np.float32(0)), ranks, axis=-1)
+    for rank, limit in zip(ranks, (SHADED, DEEP), strict=True):
+        seen = ordered[..., rank]
+        for _ in range(2):
+            # The darkest first: a shadow lowers the predictions of the others.
+            predicted, _, _ = left_out(seen, directions, weights * ~shaded)
+            # Of all neighbours, so that a dark place that moved is no shadow.
+            least = minimum_filter(np.nan_to_num(predicted).reshape(count, down, across), (1, 3, 3))
+            shaded |= (weights > 0) & (seen < limit * least.reshape(count, -1))
     return shaded.reshape(count, down, across)
 
 
