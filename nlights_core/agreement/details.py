@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -52,6 +53,10 @@ class Detail:
     top: int
     left: int
 
+    def of(self, kept: Sequence[int]) -> Detail:
+        """The same of some lamps, by their indices."""
+        return replace(self, images=self.images[np.array(kept, np.intp)])
+
     def halved(self) -> Detail:
         """The same at half the resolution."""
         return Detail(_block_means(self.images, 2), 2 * self.scale, self.top, self.left)
@@ -59,7 +64,7 @@ class Detail:
 
 @dataclass(frozen=True)
 class Surroundings:
-    """What says which lamps light a place, and from where.
+    """Surroundings of the details: which lamps light a place, and from where.
 
     Attributes
     ----------

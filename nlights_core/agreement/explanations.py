@@ -24,7 +24,7 @@ TINY = 1e-30
 
 @dataclass(frozen=True)
 class Misfit:
-    """What the photographs leave unexplained as a function of changes of each: ``level + 2 vector.x + x.matrix.x``.
+    """Rest that photographs leave unexplained, by changes x of each: ``level + 2 vector.x + x.matrix.x``.
 
     Attributes
     ----------
@@ -67,7 +67,7 @@ class Misfit:
         return self.level + float(vector @ found), changes
 
     def kinds(self) -> Iterator[tuple[int, bool]]:
-        """How many lamps may have changed (0: several), and whether alike, from the simplest explanation on."""
+        """Numbers of lamps that changed (0: several), and whether alike, from the simplest explanation on."""
         yield 1, False
         yield 0, True
         # Of n lamps, n - 3 could be told at best; half as many leave others to confirm it.

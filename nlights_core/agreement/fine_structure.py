@@ -67,7 +67,7 @@ class FineStructure:
         return float(self.left().sum()) / whole if whole > 0 else 1.0
 
     def left(self) -> Array:
-        """What is left unexplained in every tile, (T,)."""
+        """Rest that is left unexplained in every tile, (T,)."""
         count = self.powers.shape[1]
         return np.asarray(self.products[:, :count, :count].sum(axis=(1, 2)))
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nlights_core.agreement.explanations import Misfit
-from nlights_core.agreement.relative_light import FEWEST, RelativeLight
+from nlights_core.agreement.relative_light import FEWEST, RelativeLight, left_out
 from nlights_core.frames import Array
 
 PLACES = 6000
@@ -24,6 +24,10 @@ a gain of 0.92 or beyond 0.74; a photograph at 0.8 of its exposure leaves 0.01 t
 ALIKE = 0.15
 """The same of a common gain of several: that all low lamps are darker is what gloss or height do, too, and
 leaves 0.43 and more; another exposure from one photograph on leaves 0.003 to 0.06 on matt artworks."""
+
+SPREAD, MOST, NOISE = 0.4, 0.1, 0.01
+"""By which share half of the places may differ from a gain that is the same everywhere: of its deviation from 1,
+at most, and beside it.  Two lamps lit at once differ by 0.2 and more."""
 
 SIMPLER = 0.4
 """What the gains of several must leave of what the gain of one leaves, to be said in its stead."""
@@ -76,11 +80,27 @@ def find_gains(relative: RelativeLight) -> list[Gain]:
         if np.abs(gains - 1).min() < LEAST or rest > SIMPLER * least:
             continue
         # Whatever else was said so far, this explains it much better.
-        clear = rest < (EXPLAINED if size == 1 else ALIKE) * misfit.level and following > CLEARER * rest
+        clear = _same_everywhere(before, gains, light, vectors, weights)
+        clear &= rest < (EXPLAINED if size == 1 else ALIKE) * misfit.level and following > CLEARER * rest
         lamps = [before] if together else [(lamp,) for lamp in before]
         best = [Gain(some, float(gains[k])) for k, some in enumerate(lamps)] if clear else []
         least = rest if clear or size == 1 else least
     return best
+
+
+def _same_everywhere(
+    lamps: tuple[int, ...], gains: Array, light: Array, vectors: Array, weights: Array
+) -> bool:
+    """Test whether each lamp's light is its prediction times its gain in most places."""
+    levelled = light.copy()
+    levelled[list(lamps)] /= gains[:, None]
+    predicted, _, freedom = left_out(levelled, vectors, weights)
+    for lamp, gain in zip(lamps, gains, strict=True):
+        known = (weights[lamp] > 0) & (freedom[lamp] > 0.02) & (predicted[lamp] > 0)
+        apart = np.abs(levelled[lamp, known] / predicted[lamp, known] - 1)
+        if not apart.size or np.median(apart) > min(SPREAD * abs(gain - 1), MOST) + NOISE:
+            return False
+    return True
 
 
 def places(relative: RelativeLight) -> tuple[Array, Array, Array, Array, Array]:

@@ -13,13 +13,15 @@ from nlights_core.agreement.fine_structure import FineStructure, fine_structure
 from nlights_core.frames import Array
 
 LEAST = 0.35
-"""Movement that is told, px.  Sound captures reach 0.02, behind a frame 20 mm deep 0.2."""
+"""Movement that is told, px.  Sound captures reach 0.02, behind a frame 20 mm deep 0.3."""
 
 CERTAIN = 6.0
-"""How many standard errors, found from tile to tile, a movement must have.  Sound captures reach ...."""
+"""How many standard errors, found from tile to tile, a movement must have.  Sound captures reach 8, where
+the quarters do not agree; a movement of 2 px has 40 to 7000 where the artwork has texture."""
 
 QUARTERS = 0.35
-"""How far the movements that the quarters of a photograph show may lie from the whole's, as a share of it."""
+"""How far the movements that the quarters of a photograph show may lie from the whole's, as a share of it.
+Moved photographs reach 0.1, and 0.25 where there is hardly any texture; sound ones mostly 0.4 to 4."""
 
 FOLLOWED = 0.2
 """Movement in samples of a coarse detail from which on it is followed to finer ones."""
@@ -61,7 +63,7 @@ class Moves:
 
 
 def _misfit(products: Array, moves: Array) -> Misfit:
-    """Of products (3L, 3L) of photographs that were brought back by ``moves`` (samples) already."""
+    """Misfit by total movements, of products (3L, 3L) after ``moves`` (samples) were taken back."""
     count = len(moves)
     ones, done = np.ones(count), moves.T.ravel()
     matrix, vector = products[count:, count:], products[count:, :count] @ ones

@@ -9,14 +9,23 @@ from pathlib import Path
 import numpy as np
 
 from nlights_core.agreement.additive_light import Light, find_light
-from nlights_core.agreement.details import LEAST, LEVELS, read_details
+from nlights_core.agreement.details import LEAST, LEVELS, Detail, Surroundings, read_details
+from nlights_core.agreement.fine_structure import fine_structure
 from nlights_core.agreement.gains import Gain, find_gains
 from nlights_core.agreement.movement import Moves, find_moves
+from nlights_core.agreement.oddities import find_odd
 from nlights_core.agreement.relative_light import FEWEST, RelativeLight, relate_samples
 from nlights_core.agreement.samples import Samples
+from nlights_core.agreement.sharpness import find_blurred
 from nlights_core.capture import Tile
 from nlights_core.capture_warnings import CaptureWarning
 from nlights_core.fields import LightField
+
+FAR = 2.0
+"""Movement from which on it explains why a photograph does not agree, px."""
+
+COARSER = 2
+"""How many halvings lie between the details that sharpness compares."""
 
 ALIKE = 0.3
 """Movements that differ by less, px, are told as one: it was one push."""
@@ -55,25 +64,52 @@ def compare_with_predictions(
     TileError
         When a photograph cannot be read.
     """
-    found: list[CaptureWarning] = []
-    if len(lamps) >= FEWEST:
-        relative = relate_samples(samples, lamps, lights)
-        gains = find_gains(relative) if relative.with_flats else []
-        found += _of_gains(gains, relative, tile)
-        relative = _levelled(relative, gains)
-        light = find_light(relative) if relative.with_flats else None
-        if light is not None and light.certain:
-            found.append(_of_light(light))
-        progress(0.6)
-        details, around = read_details(tile, samples, relative, lights, scratch)
-        progress(0.8)
-        levels = [details]
-        while len(levels) < LEVELS and min(min(one.images.shape[1:]) for one in levels[-1]) >= 2 * LEAST:
-            levels.append([one.halved() for one in levels[-1]])
-        moves, _ = find_moves(levels, around)
+    if len(lamps) < FEWEST:
+        return []
+    relative = relate_samples(samples, lamps, lights)
+    gains = find_gains(relative) if relative.with_flats else []
+    found = _of_gains(gains, relative, tile)
+    relative = _levelled(relative, gains)
+    odd = find_odd(relative)
+    everyone = range(len(lamps))
+    rest = [i for i in everyone if odd is None or i != odd[0]]
+    light = find_light(relative.of(rest)) if relative.with_flats and len(rest) >= FEWEST else None
+    if light is not None and light.certain:
+        found.append(_of_light(light))
+    progress(0.6)
+    details, around = read_details(tile, samples, relative, lights, scratch)
+    progress(0.8)
+    moves, blurred = _compare_details(details, around)
+    if odd is not None and np.hypot(*moves.pixels[odd[0]]) > FAR:
+        odd = None  # that it moved is why
+    spoilt = {lamp for lamp, _ in blurred} | ({odd[0]} if odd else set())
+    if spoilt and moves.pixels.any():
+        # What is wrong with one photograph makes others seem moved.
+        kept = [i for i in everyone if i not in spoilt]
+        moves, _ = _compare_details(
+            [one.of(kept) for one in details], replace(around, relative=relative.of(kept))
+        )
+        found += _of_moves(moves, around.relative.of(kept), tile)
+    else:
         found += _of_moves(moves, relative, tile)
+    found += [_of_blur(lamps[lamp], left, tile) for lamp, left in blurred if odd is None or lamp != odd[0]]
+    if odd is not None:
+        found.append(_of_odd(lamps[odd[0]], odd[1], tile))
     progress(1.0)
     return found
+
+
+def _compare_details(
+    details: Sequence[Detail], around: Surroundings
+) -> tuple[Moves, list[tuple[int, float]]]:
+    """Movements of the photographs, and those that are blurred."""
+    levels = [list(details)]
+    while len(levels) < LEVELS and min(min(one.images.shape[1:]) for one in levels[-1]) >= 2 * LEAST:
+        levels.append([one.halved() for one in levels[-1]])
+    moves, fine = find_moves(levels, around)
+    if len(levels) <= COARSER:
+        return moves, []
+    return moves, find_blurred(fine, fine_structure(levels[COARSER], around, moves.pixels))
 
 
 def named(lamps: Sequence[str], tile: Tile) -> str:
@@ -157,3 +193,28 @@ def _of_moves(moves: Moves, relative: RelativeLight, tile: Tile) -> list[Capture
             )
         )
     return found
+
+
+def _of_blur(lamp: str, left: float, tile: Tile) -> CaptureWarning:
+    """The warning of a photograph that is not sharp."""
+    return CaptureWarning(
+        "blur",
+        f"{named([lamp], tile)}: not sharp: its finest detail has {100 * left:.0f} % of the contrast that the other "
+        "photographs predict; fix camera and artwork, focus once for all lamps, and photograph it again",
+        (lamp,),
+        round(100 * left, 1),
+        "%",
+    )
+
+
+def _of_odd(lamp: str, differs: float, tile: Tile) -> CaptureWarning:
+    """The warning of a photograph that differs, nobody knows why."""
+    return CaptureWarning(
+        "odd",
+        f"{named([lamp], tile)}: does not agree with the others: half of its places differ by more than "
+        f"{100 * differs:.0f} % from what they predict; the cause is not known: look at the photograph, see that its "
+        "lamp and no other was lit, and photograph it again or leave the lamp out",
+        (lamp,),
+        round(100 * differs, 1),
+        "%",
+    )

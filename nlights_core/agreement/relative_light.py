@@ -7,7 +7,7 @@ the lamp: so three lamps determine it, and every further lamp can be predicted f
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -75,6 +75,18 @@ class RelativeLight:
     shaded: Array
     patch: int
     with_flats: bool
+
+    def of(self, kept: Sequence[int]) -> RelativeLight:
+        """The same of some lamps, by their indices."""
+        some = np.array(kept, np.intp)
+        return replace(
+            self,
+            lamps=tuple(self.lamps[i] for i in kept),
+            light=self.light[some],
+            divisors=self.divisors[some],
+            vectors=self.vectors[some],
+            shaded=self.shaded[some],
+        )
 
     @cached_property
     def smooth_divisors(self) -> Array:

@@ -1,0 +1,76 @@
+"""Sharpness: photographs whose fine detail has less contrast than the others predict."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nlights_core.agreement.fine_structure import FineStructure
+from nlights_core.frames import Array
+
+SOFT = 0.6
+"""Contrast of fine detail against that of detail four times coarser, relative to the other photographs, below
+which a photograph is blurred.  Sound captures reach 0.8; a blur of 2 px (standard deviation) reads 0.34 to 0.5
+where the detail is some 10 px wide, one of 1 px 0.7 to 0.84."""
+
+SEEN = 1.8
+"""How many times the detail that can be predicted must be what cannot: below, it is noise or gloss."""
+
+ALONE = 1.25
+"""How much sharper the next softest photograph must be."""
+
+PREDICTED = 0.05
+"""Share of a photograph that its own deviation must keep against the others, to be predicted by them."""
+
+
+def find_blurred(fine: FineStructure, coarse: FineStructure) -> list[tuple[int, float]]:
+    """Find the photograph that is blurred.
+
+    Parameters
+    ----------
+    fine, coarse : FineStructure
+        Of the same photographs: detail of the smallest size, and of four times that.
+
+    Returns
+    -------
+    list of (int, float)
+        The lamp, and what is left of the contrast of its fine detail; empty where none is blurred.
+    """
+    (contrast, seen), (whole, _) = _contrast(fine), _contrast(coarse)
+    known = (seen > SEEN) & (contrast > 0) & (whole > 0)
+    if np.count_nonzero(known) < max(4, len(known) // 2):
+        return []
+    ratio = np.where(known, contrast / np.where(known, whole, 1), np.inf)
+    ratio /= np.median(ratio[known])
+    order = np.argsort(ratio)
+    softest, following = ratio[order[0]], ratio[order[1]]
+    if softest < SOFT and following > ALONE * softest and following > SOFT:
+        return [(int(order[0]), float(softest))]
+    return []
+
+
+def _contrast(structure: FineStructure) -> tuple[Array, Array]:
+    """Slope of each photograph's fine structure on its prediction, and the prediction's power over noise; (L,)."""
+    left = structure.left()
+    used = left > 0
+    count = structure.powers.shape[1]
+    if not used.any():
+        return np.zeros(count), np.zeros(count)
+    powers, freedom = structure.powers[used], structure.freedom[used]
+    weights = 1 / (left[used] + np.median(left[used]))
+    noise = left[used] / np.trace(freedom, axis1=1, axis2=2)
+    slope, seen = np.zeros(count), np.zeros(count)
+    for lamp in range(count):
+        own = freedom[:, lamp, lamp]
+        some = own > PREDICTED
+        if not some.any():
+            continue
+        mixture = -freedom[some, lamp] / own[some, None]
+        mixture[:, lamp] = 0
+        common = np.einsum("tk,tk->t", mixture, powers[some][:, lamp])
+        power = np.einsum("tk,tkl,tl->t", mixture, powers[some], mixture)
+        unseen = noise[some] * (mixture**2).sum(axis=1)
+        # The noise of a prediction would make every slope flatter.
+        signal = float(weights[some] @ (power - unseen))
+        slope[lamp] = float(weights[some] @ common) / signal if signal > 0 else 0.0
+        seen[lamp] = signal / max(float(weights[some] @ unseen), 1e-30)
+    return slope, seen
