@@ -53,13 +53,17 @@ class FineStructure:
 
     @cached_property
     def quarters(self) -> Array:
-        """Which quarter of all tiles each belongs to, (T,): 0 to 3, of about as many tiles each."""
+        """Quarter that each tile belongs to, (T,): 0 to 3, of about as many tiles each."""
         lower = self.places[:, 0] > np.median(self.places[:, 0])
         right = np.zeros(len(lower), bool)
         for half in (lower, ~lower):
             if half.any():
                 right[half] = self.places[half, 1] > np.median(self.places[half, 1])
         return np.asarray(2 * lower + right)
+
+    def part(self, some: Array) -> FineStructure:
+        """Some of the tiles, by a mask (T,)."""
+        return FineStructure(self.products[some], self.powers[some], self.freedom[some], self.places[some])
 
     def share(self) -> float:
         """Unexplained share of the fine structure, over all tiles."""

@@ -18,6 +18,9 @@ SEEN = 1.8
 ALONE = 1.25
 """How much sharper the next softest photograph must be."""
 
+QUARTERLY = 0.75
+"""Contrast of its fine detail, relative to the other photographs, that no quarter of a blurred one may reach."""
+
 PREDICTED = 0.05
 """Share of a photograph that its own deviation must keep against the others, to be predicted by them."""
 
@@ -43,9 +46,21 @@ def find_blurred(fine: FineStructure, coarse: FineStructure) -> list[tuple[int, 
     ratio /= np.median(ratio[known])
     order = np.argsort(ratio)
     softest, following = ratio[order[0]], ratio[order[1]]
-    if softest < SOFT and following > ALONE * softest and following > SOFT:
+    alone = following > max(ALONE * softest, SOFT)
+    if softest < SOFT and alone and _everywhere(fine, int(order[0]), known):
         return [(int(order[0]), float(softest))]
     return []
+
+
+def _everywhere(fine: FineStructure, lamp: int, known: Array) -> bool:
+    """Test whether a photograph is softer than the others in each quarter: noise and gloss are not."""
+    ratios = []
+    for quarter in range(4):
+        contrast, _ = _contrast(fine.part(fine.quarters == quarter))
+        middle = float(np.median(contrast[known]))
+        if middle > 0:
+            ratios.append(contrast[lamp] / middle)
+    return len(ratios) >= 3 and max(ratios) < QUARTERLY
 
 
 def _contrast(structure: FineStructure) -> tuple[Array, Array]:
