@@ -24,6 +24,9 @@ BRIGHTEST = np.float32(1.5)
 EDGE = 32
 """Edge of a tile, samples: over it a lamp's direction hardly changes."""
 
+TINY = 1e-30
+"""What keeps a share of nothing from dividing by zero."""
+
 UNKNOWN = 0.3
 """A lamp of whose tile more than this share is not known is left out there."""
 
@@ -67,8 +70,15 @@ class FineStructure:
 
     def share(self) -> float:
         """Unexplained share of the fine structure, over all tiles."""
-        whole = float(np.einsum("tii,tii->", self.powers, self.freedom))
-        return float(self.left().sum()) / whole if whole > 0 else 1.0
+        return float(self.left().sum()) / max(float(self._whole().sum()), TINY)
+
+    def shares(self) -> Array:
+        """The same of every tile, (T,)."""
+        return np.asarray(self.left() / np.maximum(self._whole(), TINY))
+
+    def _whole(self) -> Array:
+        """Fine structure that unrelated photographs would leave, (T,)."""
+        return np.asarray(np.einsum("tii,tii->t", self.powers, self.freedom))
 
     def left(self) -> Array:
         """Rest that is left unexplained in every tile, (T,)."""

@@ -21,6 +21,12 @@ ALONE = 1.25
 QUARTERLY = 0.75
 """Contrast of its fine detail, relative to the other photographs, that no quarter of a blurred one may reach."""
 
+EXPLAINED = 0.4
+"""Unexplained share of the fine structure of a tile from which on it is not looked at: noise, gloss, a frame."""
+
+TILES = 12
+"""Tiles that must be left."""
+
 PREDICTED = 0.05
 """Share of a photograph that its own deviation must keep against the others, to be predicted by them."""
 
@@ -38,6 +44,9 @@ def find_blurred(fine: FineStructure, coarse: FineStructure) -> list[tuple[int, 
     list of (int, float)
         The lamp, and what is left of the contrast of its fine detail; empty where none is blurred.
     """
+    fine, coarse = (one.part((one.left() > 0) & (one.shares() < EXPLAINED)) for one in (fine, coarse))
+    if len(fine.products) < TILES or not len(coarse.products):
+        return []
     (contrast, seen), (whole, _) = _contrast(fine), _contrast(coarse)
     known = (seen > SEEN) & (contrast > 0) & (whole > 0)
     if np.count_nonzero(known) < max(4, len(known) // 2):
@@ -66,13 +75,12 @@ def _everywhere(fine: FineStructure, lamp: int, known: Array) -> bool:
 def _contrast(structure: FineStructure) -> tuple[Array, Array]:
     """Slope of each photograph's fine structure on its prediction, and the prediction's power over noise; (L,)."""
     left = structure.left()
-    used = left > 0
     count = structure.powers.shape[1]
-    if not used.any():
+    if not len(left):
         return np.zeros(count), np.zeros(count)
-    powers, freedom = structure.powers[used], structure.freedom[used]
-    weights = 1 / (left[used] + np.median(left[used]))
-    noise = left[used] / np.trace(freedom, axis1=1, axis2=2)
+    powers, freedom = structure.powers, structure.freedom
+    weights = 1 / (left + np.median(left))
+    noise = left / np.trace(freedom, axis1=1, axis2=2)
     slope, seen = np.zeros(count), np.zeros(count)
     for lamp in range(count):
         own = freedom[:, lamp, lamp]
