@@ -39,7 +39,7 @@ class Light(NamedTuple):
 
     @property
     def certain(self) -> bool:
-        """Whether there is some; what is below nothing is no light."""
+        """Test whether there is some; what is below nothing is no light."""
         return self.share > max(LEAST, CERTAIN * self.error)
 
 

@@ -24,6 +24,9 @@ BRIGHTEST = np.float32(1.5)
 EDGE = 32
 """Edge of a tile, samples: over it a lamp's direction hardly changes."""
 
+TINY = 1e-30
+"""What keeps a share of nothing from dividing by zero."""
+
 UNKNOWN = 0.3
 """A lamp of whose tile more than this share is not known is left out there."""
 
@@ -53,7 +56,7 @@ class FineStructure:
 
     @cached_property
     def quarters(self) -> Array:
-        """Which quarter of all tiles each belongs to, (T,): 0 to 3, of about as many tiles each."""
+        """Quarter that each tile belongs to, (T,): 0 to 3, of about as many tiles each."""
         lower = self.places[:, 0] > np.median(self.places[:, 0])
         right = np.zeros(len(lower), bool)
         for half in (lower, ~lower):
@@ -61,10 +64,21 @@ class FineStructure:
                 right[half] = self.places[half, 1] > np.median(self.places[half, 1])
         return np.asarray(2 * lower + right)
 
+    def part(self, some: Array) -> FineStructure:
+        """Some of the tiles, by a mask (T,)."""
+        return FineStructure(self.products[some], self.powers[some], self.freedom[some], self.places[some])
+
     def share(self) -> float:
         """Unexplained share of the fine structure, over all tiles."""
-        whole = float(np.einsum("tii,tii->", self.powers, self.freedom))
-        return float(self.left().sum()) / whole if whole > 0 else 1.0
+        return float(self.left().sum()) / max(float(self._whole().sum()), TINY)
+
+    def shares(self) -> Array:
+        """The same of every tile, (T,)."""
+        return np.asarray(self.left() / np.maximum(self._whole(), TINY))
+
+    def _whole(self) -> Array:
+        """Fine structure that unrelated photographs would leave, (T,)."""
+        return np.asarray(np.einsum("tii,tii->t", self.powers, self.freedom))
 
     def left(self) -> Array:
         """Rest that is left unexplained in every tile, (T,)."""

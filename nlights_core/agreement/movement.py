@@ -35,14 +35,14 @@ TILES = 12
 FEW_TILES = 6
 """The same of coarse details, which have fewer, and which finer ones confirm."""
 
-ROUNDS = 4
+ROUNDS = 8
 """Rounds at most at each size of details; one is enough where nothing moved."""
 
 BETTER = 0.98
 """What bringing the photographs back must leave of the disagreement, at most.  It is mostly noise where the
 artwork has hardly any texture."""
 
-SETTLED = 0.1
+SETTLED = 0.05
 """Change of a movement in samples below which a round was the last."""
 
 
@@ -90,6 +90,7 @@ def find_moves(levels: Sequence[Sequence[Detail]], around: Surroundings) -> tupl
     for level, details in reversed(list(enumerate(levels))):
         scale = details[0].scale
         least = FOLLOWED * scale if level else LEAST
+        step = np.zeros_like(moves.pixels)
         for _ in range(ROUNDS):
             structure = fine_structure(details, around, moves.pixels)
             before = moves.pixels
@@ -97,8 +98,13 @@ def find_moves(levels: Sequence[Sequence[Detail]], around: Surroundings) -> tupl
                 moves = Moves(np.zeros_like(before), False)
                 break
             moves = _follow(structure, before, scale, least, level == 0)
-            if np.abs(moves.pixels - before).max() < SETTLED * scale:
+            step, last = moves.pixels - before, step
+            if np.abs(step).max() < SETTLED * scale:
                 break
+            # Noise in the gradients makes every step too short by the same share: go where they lead.
+            share = float(np.sum(step * last)) / max(float(np.sum(last * last)), 1e-9)
+            if 0 < share < 0.9:
+                moves = Moves(moves.pixels + step * share / (1 - share), moves.together)
     if moves.pixels.any():
         still = np.zeros_like(moves.pixels)
         pairs = (

@@ -48,7 +48,7 @@ def find_odd(relative: RelativeLight) -> tuple[int, float] | None:
 
 
 def _difference(light: Array, predicted: Array, known: Array) -> float:
-    """By which share light differs from its prediction in half of the places, after the best gain."""
+    """Share by which light differs from its prediction in half of the places, after the best gain."""
     known &= predicted > 0.05 * max(float(np.median(predicted)), 0.0)
     if np.count_nonzero(known) < 50:
         return 0.0

@@ -18,6 +18,15 @@ SEEN = 1.8
 ALONE = 1.25
 """How much sharper the next softest photograph must be."""
 
+QUARTERLY = 0.75
+"""Contrast of its fine detail, relative to the other photographs, that no quarter of a blurred one may reach."""
+
+EXPLAINED = 0.4
+"""Unexplained share of the fine structure of a tile from which on it is not looked at: noise, gloss, a frame."""
+
+TILES = 12
+"""Tiles that must be left."""
+
 PREDICTED = 0.05
 """Share of a photograph that its own deviation must keep against the others, to be predicted by them."""
 
@@ -35,6 +44,9 @@ def find_blurred(fine: FineStructure, coarse: FineStructure) -> list[tuple[int, 
     list of (int, float)
         The lamp, and what is left of the contrast of its fine detail; empty where none is blurred.
     """
+    fine, coarse = (one.part((one.left() > 0) & (one.shares() < EXPLAINED)) for one in (fine, coarse))
+    if len(fine.products) < TILES or not len(coarse.products):
+        return []
     (contrast, seen), (whole, _) = _contrast(fine), _contrast(coarse)
     known = (seen > SEEN) & (contrast > 0) & (whole > 0)
     if np.count_nonzero(known) < max(4, len(known) // 2):
@@ -43,21 +55,32 @@ def find_blurred(fine: FineStructure, coarse: FineStructure) -> list[tuple[int, 
     ratio /= np.median(ratio[known])
     order = np.argsort(ratio)
     softest, following = ratio[order[0]], ratio[order[1]]
-    if softest < SOFT and following > ALONE * softest and following > SOFT:
+    alone = following > max(ALONE * softest, SOFT)
+    if softest < SOFT and alone and _everywhere(fine, int(order[0]), known):
         return [(int(order[0]), float(softest))]
     return []
+
+
+def _everywhere(fine: FineStructure, lamp: int, known: Array) -> bool:
+    """Test whether a photograph is softer than the others in each quarter: noise and gloss are not."""
+    ratios = []
+    for quarter in range(4):
+        contrast, _ = _contrast(fine.part(fine.quarters == quarter))
+        middle = float(np.median(contrast[known]))
+        if middle > 0:
+            ratios.append(contrast[lamp] / middle)
+    return len(ratios) >= 3 and max(ratios) < QUARTERLY
 
 
 def _contrast(structure: FineStructure) -> tuple[Array, Array]:
     """Slope of each photograph's fine structure on its prediction, and the prediction's power over noise; (L,)."""
     left = structure.left()
-    used = left > 0
     count = structure.powers.shape[1]
-    if not used.any():
+    if not len(left):
         return np.zeros(count), np.zeros(count)
-    powers, freedom = structure.powers[used], structure.freedom[used]
-    weights = 1 / (left[used] + np.median(left[used]))
-    noise = left[used] / np.trace(freedom, axis1=1, axis2=2)
+    powers, freedom = structure.powers, structure.freedom
+    weights = 1 / (left + np.median(left))
+    noise = left / np.trace(freedom, axis1=1, axis2=2)
     slope, seen = np.zeros(count), np.zeros(count)
     for lamp in range(count):
         own = freedom[:, lamp, lamp]

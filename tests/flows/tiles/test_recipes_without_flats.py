@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import tifffile
 import yaml
+from PIL import Image
 
 from nlights_core.manifest import load_capture
 from nlights_core.recipe import load_recipe
@@ -103,8 +104,10 @@ def psbox(folder: Path) -> Path:
     for probe in ("LightProbe-1", "LightProbe-2"):
         x, y, radius = np.loadtxt(DATA / "psbox" / probe / "circle_data.txt")
         frames = [f"{source}/{probe}/Image_{n:02d}.JPG" for n in range(1, 13)]
-        # PSBox counts columns and rows from 1, rows upwards from the bottom of 1000.
-        spheres.append({"frames": frames, "circle_px": [float(x - 1), float(1000 - y), float(radius)]})
+        with Image.open(DATA / "psbox" / probe / "Image_01.JPG") as photograph:
+            rows = photograph.height
+        # PSBox counts columns and rows from 1, rows upwards from the bottom.
+        spheres.append({"frames": frames, "circle_px": [float(x - 1), float(rows - y), float(radius)]})
     manifest = {
         "artwork": {"id": "psbox"},
         "frames": [f"{source}/Objects/Image_{n:02d}.png" for n in range(1, 13)],

@@ -1,0 +1,124 @@
+"""Movements of photographs: told against movements that were made."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tifffile
+import yaml
+from scipy.ndimage import shift, zoom
+
+from nlights_core.capture import Encoding, Tile
+from nlights_core.fields import LightField
+
+REAL = Path(__file__).parents[4] / "shared" / "data"
+
+
+def moved(across, up):
+    """Move a picture's content to the right and up, px."""
+
+    def spoil(light):
+        return shift(light, (-up, across, 0)[: light.ndim], order=3, mode="nearest")
+
+    return spoil
+
+
+def assert_told(warning, across, up, lamps, within=0.3):
+    assert (warning.code, warning.lamps, warning.unit) == ("moved", lamps, "px")
+    assert warning.value == pytest.approx(np.hypot(across, up), abs=within)
+    for lamp in lamps:
+        assert lamp in warning.sentence
+    words = warning.sentence.replace(",", " ").split()
+    assert float(words[words.index("(dx") + 1]) == pytest.approx(across, abs=within)
+    assert float(words[words.index("dy") + 1]) == pytest.approx(up, abs=within)
+
+
+@pytest.mark.parametrize("scene", ["painting", "drawing", "relief"])
+@pytest.mark.parametrize(("number", "across", "up"), [(1, 2, 0), (4, 0, -2), (6, -1.5, 1.5)])
+def test_a_photograph_moved_by_two_pixels_is_told(photographs, scene, number, across, up):
+    capture = photographs(scene)
+    capture.change_frames(moved(across, up), number)
+    (warning,) = capture.said()
+    assert_told(warning, across, up, (f"Relio_{number}",))
+    assert warning.sentence.startswith(f"light_{number}.tif (lamp Relio_{number}): moved by")
+
+
+@pytest.mark.parametrize(("across", "up"), [(1, 0), (-7, 3), (12, 5)])
+def test_small_and_large_movements_are_told(photographs, across, up):
+    capture = photographs("painting", "vertical-dark", varnish=True)
+    capture.change_frames(moved(across, up), 3)
+    (warning,) = capture.said()
+    assert_told(warning, across, up, (capture.tile.lamps[2],))
+
+
+def test_a_camera_that_moved_after_the_third_photograph_is_told_once(photographs):
+    capture = photographs("painting")
+    capture.change_frames(moved(0, -2), 4, 5, 6, 7, 8)
+    (warning,) = capture.said()
+    # Which ones stayed nobody can know: the fewer are said to have moved.
+    assert_told(warning, 0, 2, ("Relio_1", "Relio_2", "Relio_3"))
+
+
+def test_photographs_that_moved_each_in_its_own_way_are_told_apart(photographs):
+    capture = photographs("painting")
+    capture.change_frames(moved(2, 1), 2)
+    capture.change_frames(moved(-1, 2), 7)
+    first, second = capture.said()
+    assert_told(first, 2, 1, ("Relio_2",))
+    assert_told(second, -1, 2, ("Relio_7",))
+
+
+def test_two_pixels_are_told_of_a_large_photograph(simulated, copy_of, tmp_path):
+    """Two pixels are a fifth of a sample of the reduced photograph."""
+    small, random = simulated("painting"), np.random.default_rng(3)
+    for path in ["dark.tif", *(f"{folder}light_{n}.tif" for folder in ("", "flat/") for n in range(1, 9))]:
+        light = zoom(tifffile.imread(small / path)[..., 1].astype(np.float32), 10, order=1)
+        light += 40 * random.standard_normal(light.shape, np.float32)
+        (tmp_path / path).parent.mkdir(exist_ok=True)
+        tifffile.imwrite(tmp_path / path, np.clip(light, 0, 65535).astype(np.uint16))
+    manifest = yaml.safe_load((small / "artwork.yaml").read_text(encoding="utf-8"))
+    (tmp_path / "artwork.yaml").write_text(yaml.safe_dump(manifest), encoding="utf-8")
+    capture = copy_of(tmp_path)
+    assert capture.said() == []
+    capture.change("light_5.tif", moved(2, -1))
+    (warning,) = capture.said()
+    assert_told(warning, 2, -1, ("Relio_5",))
+
+
+def test_nothing_is_said_of_a_plane_without_texture(photographs):
+    capture = photographs("plane")
+    capture.change_frames(moved(2, 2), 5)
+    assert capture.said() == []
+
+
+def test_nothing_is_said_of_four_lamps(photographs):
+    capture = photographs("painting")
+    capture.change_frames(moved(2, 2), 2)
+    tile = capture.tile
+    four = {"frames": dict(list(tile.frames.items())[:4]), "flats": dict(list(tile.flats.items())[:4])}
+    assert capture.said(tile.model_copy(update=four)) == []
+
+
+def test_a_movement_is_told_without_flats_and_with_distant_lamps(photographs):
+    capture = photographs("relief")
+    capture.change_frames(moved(-2, 2), 8)
+    positions = capture.tile.stand.lamp_positions()
+    tile = capture.tile.model_copy(update={"flats": None})
+    (near,) = capture.said(tile)
+    assert_told(near, -2, 2, ("Relio_8",))
+    directions = positions / np.linalg.norm(positions, axis=1, keepdims=True)
+    (distant,) = capture.said(capture.tile, LightField(tile.lamps, directions=directions))
+    assert_told(distant, -2, 2, ("Relio_8",))
+
+
+@pytest.mark.parametrize(("name", "lamps"), [("cat", [("L2",)]), ("pig", [])])
+def test_of_real_photographs_the_one_that_moved_is_told(copy_of, tmp_path, name, lamps):
+    folder = REAL / "harvard" / name
+    if not folder.is_dir():
+        pytest.skip("the photographs of Harvard are not beside the project")
+    files = sorted((folder / "Objects").glob("*.png"))
+    frames = {f"L{n}": path for n, path in enumerate(files, 1)}
+    tile = Tile(artwork=name, name="t", frames=frames, encoding=Encoding())
+    directions = np.loadtxt(folder / "light_directions.txt").T
+    lights = LightField(tile.lamps, directions=directions / np.linalg.norm(directions, axis=1, keepdims=True))
+    assert [warning.lamps for warning in copy_of(tmp_path).said(tile, lights)] == lamps
