@@ -17,6 +17,9 @@ Sensors without light stay below 0.0005; 1 % of one lamp's light gives 0.02."""
 LEAST_PICTURE = 0.001
 """The same as a share of saturation, below which it is not told: the glow at the edge of a warm sensor."""
 
+NOISY = 8.0
+"""The same over the standard deviation that noise gives the mean of a cell: noise alone spreads by 3.3."""
+
 SIMILAR = 0.8
 """Correlation of the dark frame with one of the photographs above which it shows that picture, though faintly.
 Noise, and the glow of a warm sensor, stay below 0.3."""
@@ -49,12 +52,12 @@ def find_lit_dark(samples: Samples, tile: Tile) -> list[CaptureWarning]:
     edge = max(1, samples.grid.columns // CELLS)
     light = samples.frames if samples.flats is None else samples.flats
     level = float(np.nanmedian(light)) if np.isfinite(light).any() else 0.0
-    dark = cell_medians(samples.dark, edge)
+    dark, noise = _cell_means(samples.dark, edge)
     low, high = np.nanquantile(dark, (0.05, 0.95))
     spread = float(high - low)
     remedy = "photograph it again with the lens covered, with the exposure of the others, or leave dark out"
-    shown = spread > max(PICTURE * level, LEAST_PICTURE)
-    shown |= spread > LEAST_SIMILAR and _likeness(dark, samples, edge) > SIMILAR
+    shown = spread > max(PICTURE * level, LEAST_PICTURE, NOISY * noise, 1.5 * samples.step)
+    shown |= spread > max(LEAST_SIMILAR, samples.step) and _likeness(dark, samples, edge) > SIMILAR
     if shown:
         return [
             CaptureWarning(
@@ -70,7 +73,7 @@ def find_lit_dark(samples: Samples, tile: Tile) -> list[CaptureWarning]:
         paths = tile.frames if kind == "frames" else tile.flats
         if photographs is None or paths is None:
             continue
-        darker = np.array([np.mean(cell_medians(one, edge) < -BELOW) for one in photographs])
+        darker = np.array([np.mean(_cell_means(one, edge)[0] < -BELOW) for one in photographs])
         worst = int(np.argmax(darker))
         if darker[worst] > BELOW_SHARE:
             lamp = samples.lamps[worst]
@@ -85,6 +88,25 @@ def find_lit_dark(samples: Samples, tile: Tile) -> list[CaptureWarning]:
                 )
             ]
     return []
+
+
+def _cell_means(light: Array, edge: int) -> tuple[Array, float]:
+    """Means of the middle half of squares of samples, and their standard deviation by noise.
+
+    No hot pixel reaches them; and a median of 8-bit numbers would be a whole number: 0 here, 1 there.
+    """
+    rows, columns = light.shape[0] // edge, light.shape[1] // edge
+    cut = light[: rows * edge, : columns * edge].reshape(rows, edge, columns, edge)
+    order = np.sort(cut.swapaxes(1, 2).reshape(rows, columns, -1).astype(np.float64), axis=-1)
+    known = np.count_nonzero(np.isfinite(order), axis=-1)[..., None]
+    place = np.arange(order.shape[-1])
+    middle = (place >= known // 4) & (place < known - known // 4) & (2 * known >= order.shape[-1])
+    count = middle.sum(axis=-1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = np.where(middle, order, 0).sum(axis=-1) / count
+    spread = np.std(order, axis=-1)
+    spread = spread[np.isfinite(spread)]
+    return mean, float(np.median(spread)) / edge if spread.size else 0.0
 
 
 def _likeness(dark: Array, samples: Samples, edge: int) -> float:

@@ -158,8 +158,8 @@ def _of_light(light: Light) -> CaptureWarning:
     return CaptureWarning(
         "additive-light",
         f"the photographs of the artwork hold light that its lamps did not give: {share:.1f} % (+- "
-        f"{100 * light.error:.1f}) of the flats' median, in all of them and not in the flats; darken the room as "
-        "for the flats, see that the dark frame is of the same exposure, and photograph the artwork again",
+        f"{100 * light.error:.1f}) of the flats' median, which neither the flats nor the dark frame account for; "
+        "darken the room (for the flats too), see that the dark frame is of the same exposure, and photograph again",
         (),
         round(share, 2),
         "%",

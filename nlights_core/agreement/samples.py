@@ -60,6 +60,8 @@ class Samples:
         Where the blocks are on the plane.
     block : int
         Edge of a block, px of the photographs.
+    step : float
+        Light of one number of the files, which nothing finer can be told from; 0 for floats.
     rows : Rows
         Of each row of blocks, what the files hold.
     """
@@ -71,6 +73,7 @@ class Samples:
     inside: Array
     grid: PixelGrid
     block: int
+    step: float
     rows: Rows
 
     def of(self, lamps: Sequence[str]) -> Samples:
@@ -116,6 +119,7 @@ def sample_photographs(
         block = max(1, room.grid.columns // ACROSS)
         frames = average_blocks(room, block, ROWS, lambda done: progress(share * done))
         grid = room.grid
+        step = float(1 / room.info.saturation) if room.info.dtype.kind == "u" else 0.0
         dark = _reduced_dark(room.dark, block, frames.inside.shape)
     small = None
     black = np.zeros(len(frames.inside)) if dark is None else dark.mean(axis=1, dtype=np.float64)
@@ -131,6 +135,7 @@ def sample_photographs(
         inside=frames.inside,
         grid=PixelGrid(rows, columns, grid.pixel_size * block, grid.camera, grid.unit),
         block=block,
+        step=step,
         rows=Rows(
             _row_means(frames, black),
             None if small is None else _row_means(small, black),

@@ -61,3 +61,12 @@ def test_a_shadow_that_is_as_dark_as_the_dark_frame(capture, spoil, compared):
 
     spoil(capture / "light_4.tif", shade)
     assert codes(compared(capture)) == []
+
+
+def test_a_dark_frame_of_eight_bits_that_is_now_0_and_now_1(capture, spoil, compared):
+    for path in [*capture.glob("*.tif"), *capture.glob("flat/*.tif")]:
+        spoil(path, lambda numbers: np.round(numbers / 257) * 257)
+    dark = tifffile.imread(capture / "dark.tif")
+    noise = np.random.default_rng(2).uniform(size=dark.shape) < 0.4
+    tifffile.imwrite(capture / "dark.tif", noise.astype(np.uint16) * 257, photometric="rgb")
+    assert codes(compared(capture)) == []

@@ -62,6 +62,7 @@ def photographed(stand, scene, varnish, change, seed):
         inside=np.ones(dark.shape, bool),
         grid=PixelGrid(*dark.shape, studio.grid.pixel_size, studio.grid.camera),
         block=1,
+        step=1 / SATURATION,
         rows=Rows(shots[0].mean(axis=2) + black, shots[1].mean(axis=2) + black, black),
     )
 
