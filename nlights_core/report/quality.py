@@ -303,7 +303,7 @@ def of_flat(check: StandCheck | None, stand: str | None, missing: str) -> list[N
 
     def number(name: str, value: float | None, unit: str, meaning: str, warning: str = "") -> Number:
         absent = missing if check is None else NOT_MEASURED
-        return Number("Flat", name, value, unit, meaning, absent, warning, "stand")
+        return Number("Flat", name, value, unit, meaning, absent, warning, code="stand")
 
     return [
         number(
