@@ -276,6 +276,26 @@ class Darkroom:
             Height of these rows, mm.
         """
         points = self.grid.points(raw.start, raw.stop, height)
+        # The lens dims by the pixel, not by where the lamp's ray meets the plane.
+        pixels = None if height is None else self.grid.points(raw.start, raw.stop)[:2]
+        return self.develop_points(raw, lights, flat_field, points, pixels)
+
+    def develop_points(
+        self, raw: Raw, lights: LightField, flat_field: FlatField | None, points: Array, pixels: Array | None
+    ) -> Band:
+        """Do as `develop` does, for pixels whose points of the surface are given.
+
+        Parameters
+        ----------
+        raw : Raw
+            Their readings.
+        lights, flat_field : LightField, FlatField or None
+            See `bands_of_grid`.
+        points : (3, h, w) array
+            Of the surface, mm.
+        pixels : (2, h, w) array, optional
+            Where the rays of the pixels meet the plane, mm; None: in those points.
+        """
         weights = np.where(raw.saturated | ~raw.inside, np.float32(0), np.float32(1))
         images, ambient, shares = raw.images, None, None
         if lights.ambient.any():
@@ -291,8 +311,6 @@ class Darkroom:
             images = images.copy()
             shares = flat_field.shares if images.shape[-1] == len(flat_field.shares) else None
             mix = grey_shares(images.shape[-1], flat_field)
-            # The lens dims by the pixel, not by where the lamp's ray meets the plane.
-            pixels = None if height is None else self.grid.points(raw.start, raw.stop)[:2]
             if lights.near and ambient is None and available():
                 photons = mix**2 * self.noise.gain / lights.power
                 vectors = _related(images, weights, lights, flat_field, points, pixels, photons)
