@@ -33,6 +33,23 @@ class Detrends(Record):
     height: SerializeAsAny[HeightDetrend] | None = None
 
 
+class Sought(Record):
+    """What is sought in a tile's own photographs and holds for all its pixels; see docs/calibration.md."""
+
+    level: bool = Field(default=True, description="the height of the surface above the plane of the flat")
+    lamps: bool = Field(default=True, description="the strength of each lamp since the flats were taken")
+    gloss: bool = Field(default=True, description="highlights of varnish, and of the flat")
+    departure: bool = Field(default=True, description="what rough matt paint does that Lambert's law lacks")
+    ambient: bool = Field(
+        default=True, description="light that the dark frame lacks, and the light of the room"
+    )
+
+    def groups(self) -> tuple[str, ...]:
+        """Names of the groups of unknowns, as `nlights_core.calibration.unknowns.groups` has them."""
+        chosen = [name for name in ("level", "lamps", "gloss", "departure", "ambient") if getattr(self, name)]
+        return (*chosen, "flat-gloss") if self.gloss else tuple(chosen)
+
+
 class Recipe(Record):
     """A whole recipe: plain, frozen, picklable."""
 
@@ -55,6 +72,12 @@ class Recipe(Record):
         default=False,
         description="take out of the normals what no surface can have: the part that the height "
         "integrated from them does not follow",
+    )
+
+    calibration: Sought | None = Field(
+        default=None,
+        description="what is sought in reduced photographs before the normals, and taken out of them; needs near "
+        "lights and a photographed flat",
     )
 
     def algorithms(self) -> list[Algorithm]:
@@ -98,6 +121,7 @@ class Recipe(Record):
             "integrator": described(self.integrator),
             "passes": self.passes,
             "integrable": self.integrable,
+            "calibration": self.calibration.model_dump() if self.calibration else "none",
         }
 
 
@@ -227,7 +251,9 @@ class _Reader:
             removed = {k: self.algorithm(("detrend", k), detrend[k]) for k in known}
         elif detrend is not None:
             self.faults.append(self.source.fault(("detrend",), f"should be a mapping; got {detrend!r}"))
-        plain = {name: data[name] for name in ("passes", "integrable") if name in data}
+        plain = {name: data[name] for name in ("passes", "integrable", "calibration") if name in data}
+        if plain.get("calibration") == "none":
+            plain["calibration"] = None
         self._are_numbers((), plain, Recipe)
         if not self.faults:
             try:
@@ -337,5 +363,6 @@ def recipe_schema(registry: Registry | None = None) -> dict[str, Any]:
             "integrator": choice("integrator"),
             "passes": {"type": "integer", "minimum": 1, "maximum": 5, "default": 1},
             "integrable": {"type": "boolean", "default": False},
+            "calibration": {"anyOf": [{"const": "none"}, Sought.model_json_schema()], "default": "none"},
         },
     }

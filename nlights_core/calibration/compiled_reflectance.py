@@ -11,20 +11,19 @@ from typing import Any
 
 import numpy as np
 
-from nlights_core.calibration.reflectance import NORMAL_REFLECTANCE, ROUGHNESS, WHITE
+from nlights_core.calibration.reflectance import FLAT_LOBES, LOBES, NORMAL_REFLECTANCE, WHITE
 from nlights_core.frames import Array
 from nlights_core.machine.compiling import inner, kernel
 
-LOBES = len(ROUGHNESS)
-SQUARES = tuple(roughness**2 for roughness in ROUGHNESS)
+COUNT = len(LOBES)
+SQUARES = tuple(roughness**2 for _, roughness in LOBES)
+TAILED = tuple(kind == "ggx" for kind, _ in LOBES)
+OF_FLAT = FLAT_LOBES
 LOBE_SCALE = 1 / WHITE
 F0 = NORMAL_REFLECTANCE
 
-# Of a sample, in an array (L, RAY): light; its length and unit vector; half vector; Fresnel's term; u.v.
-LIGHT, LENGTH, UNIT, HALF, FRESNEL, ALONG, RAY = 0, 3, 4, 7, 10, 11, 12
-
-STEP = 1e-3
-"""Share of the scaled normal by which it is changed for derivatives."""
+RAY = 12
+"""Numbers of a sample's ray: light (3), its length, its unit vector (3), half vector (3), Fresnel's term, u.v."""
 
 
 @inner
@@ -44,20 +43,40 @@ def prepare(x: float, y: float, z: float, vx: float, vy: float, vz: float, ray: 
 
 
 @inner
-def lobe(square: float, upright: float, lit: float, seen: float, fresnel: float) -> float:
-    """Radiance of one highlight, as `reflectance.highlights` has it, where the surface faces lamp and camera."""
-    spread = upright * upright * (square - 1) + 1
-    masked = 2 * lit / (lit + math.sqrt(square + (1 - square) * lit * lit))
-    hidden = 2 * seen / (seen + math.sqrt(square + (1 - square) * seen * seen))
-    return square / (spread * spread) * fresnel * masked * hidden / (4 * seen)
+def lobe(
+    square: float, tailed: bool, upright: float, lit: float, seen: float, fresnel: float, slope: Any
+) -> float:
+    """Radiance of one highlight, as `reflectance.highlights` has it, where the surface faces lamp and camera.
+
+    ``slope`` receives its derivatives by the cosines between the normal and half vector, light and view.
+    """
+    if tailed:
+        spread = upright * upright * (square - 1) + 1
+        facets = square / (spread * spread)
+        steeper = -4 * upright * (square - 1) / spread
+    else:
+        flat = upright * upright
+        facets = math.exp((1 - 1 / flat) / square) / (square * flat * flat)
+        steeper = 2 / (square * flat * upright) - 4 / upright
+    root = math.sqrt(square + (1 - square) * lit * lit)
+    masked = 2 * lit / (lit + root)
+    far = math.sqrt(square + (1 - square) * seen * seen)
+    hidden = 2 / (seen + far)
+    value = facets * fresnel * masked * hidden / 4
+    slope[0] = value * steeper
+    slope[1] = value * square / (root * lit * (lit + root))
+    slope[2] = -value * (1 + (1 - square) * seen / far) / (seen + far)
+    return value
 
 
 @inner
 def shade(
-    bx: float, by: float, bz: float, ray: Any, vx: float, vy: float, vz: float, gloss: Any, departure: float
+    b: Any, ray: Any, vx: float, vy: float, vz: float, gloss: Any, departure: float, own: Any, out: Any
 ) -> float:
-    """Reading of one sample of a scaled normal."""
+    """Reading of one sample of a scaled normal, and its derivatives by that, into ``out[:3]``; ``own`` is scratch."""
+    bx, by, bz = b[0], b[1], b[2]
     value = bx * ray[0] + by * ray[1] + bz * ray[2]
+    out[0], out[1], out[2] = ray[0], ray[1], ray[2]
     size = math.sqrt(bx * bx + by * by + bz * bz)
     if size == 0:
         return value
@@ -66,17 +85,40 @@ def shade(
     seen = nx * vx + ny * vy + nz * vz
     if lit <= 0 or seen <= 0:
         return value
-    if departure != 0:
-        across = ray[11] - lit * seen
-        if across > 0:
-            value += departure * size * ray[3] * across / max(lit, seen) * lit
+    # Of what is beyond matt paint: derivatives by the cosines to half vector, light and view.
+    to_half, to_light, to_view = 0.0, 0.0, 0.0
     upright = nx * ray[7] + ny * ray[8] + nz * ray[9]
     if upright > 0:
-        shine = 0.0
-        for j in range(LOBES):
+        scale = ray[3] * LOBE_SCALE
+        for j in range(COUNT):
             if gloss[j] != 0:
-                shine += gloss[j] * lobe(SQUARES[j], upright, lit, seen, ray[10])
-        value += shine * ray[3] * LOBE_SCALE
+                strength = scale * gloss[j]
+                value += strength * lobe(SQUARES[j], TAILED[j], upright, lit, seen, ray[10], own)
+                to_half += strength * own[0]
+                to_light += strength * own[1]
+                to_view += strength * own[2]
+    to_half, to_light, to_view = to_half / size, to_light / size, to_view / size
+    across = ray[11] - lit * seen
+    if departure != 0 and across > 0:
+        share = departure * ray[3]
+        if lit >= seen:
+            term, by_light, by_view = across, -seen, -lit
+        else:
+            term = across * lit / seen
+            by_light, by_view = across / seen - lit, -lit * lit / seen - across * lit / (seen * seen)
+        value += share * size * term
+        out[0] += share * term * nx
+        out[1] += share * term * ny
+        out[2] += share * term * nz
+        to_light += share * by_light
+        to_view += share * by_view
+    gx = to_half * ray[7] + to_light * ray[4] + to_view * vx
+    gy = to_half * ray[8] + to_light * ray[5] + to_view * vy
+    gz = to_half * ray[9] + to_light * ray[6] + to_view * vz
+    along = gx * nx + gy * ny + gz * nz
+    out[0] += gx - along * nx
+    out[1] += gy - along * ny
+    out[2] += gz - along * nz
     return value
 
 
@@ -98,17 +140,6 @@ def _solve(m: Any, right: Any, out: Any) -> bool:
     out[1] = out[4] * right[0] + out[6] * right[1] + out[7] * right[2]
     out[2] = out[5] * right[0] + out[7] * right[1] + out[8] * right[2]
     return True
-
-
-@inner
-def _gradient(
-    b: Any, ray: Any, vx: float, vy: float, vz: float, gloss: Any, departure: float, value: float, out: Any
-) -> None:
-    """Derivatives of one sample by the scaled normal, (3,): through lobes and cross term."""
-    step = STEP * math.sqrt(b[0] * b[0] + b[1] * b[1] + b[2] * b[2])
-    out[0] = (shade(b[0] + step, b[1], b[2], ray, vx, vy, vz, gloss, departure) - value) / step
-    out[1] = (shade(b[0], b[1] + step, b[2], ray, vx, vy, vz, gloss, departure) - value) / step
-    out[2] = (shade(b[0], b[1], b[2] + step, ray, vx, vy, vz, gloss, departure) - value) / step
 
 
 @inner
@@ -160,7 +191,7 @@ def solve_normals(
     """
     count = len(images)
     ray = np.empty((count, RAY))
-    slope, b, trial = np.empty(3), np.empty(3), np.empty(9)
+    slope, own, b, trial = np.empty(3), np.empty(3), np.empty(3), np.empty(9)
     matrix, right = np.empty(6), np.empty(3)
     for p in range(first, last):
         b[0], b[1], b[2] = scaled[p, 0], scaled[p, 1], scaled[p, 2]
@@ -183,7 +214,7 @@ def solve_normals(
                 if not weight > 0:
                     continue
                 used += 1
-                value = shade(b[0], b[1], b[2], ray[k], vx, vy, vz, gloss, departure)
+                value = shade(b, ray[k], vx, vy, vz, gloss, departure, own, slope)
                 rest = images[k, p] - value
                 w = _precision(value, weight, misfit, floor)
                 size = rest * rest * w
@@ -191,7 +222,6 @@ def solve_normals(
                 if turn == rounds:
                     continue
                 w /= 1 + size / (limit * limit)
-                _gradient(b, ray[k], vx, vy, vz, gloss, departure, value, slope)
                 x, y, z = slope[0], slope[1], slope[2]
                 matrix[0] += w * x * x
                 matrix[1] += w * x * y
@@ -254,7 +284,7 @@ def linearise_samples(
         Scaled normals, NaN where not known.
     flat_gloss : (K,) float64 array
         Strengths of the lobes of the flat.
-    columns : (N, L, 1 + L + K + 3 + K) float64 array
+    columns : (N, L, 1 + L + K + 3 + F) float64 array
         Receives, for what is predicted less what is observed: per mm of level; per unit of the logarithm of each
         lamp's strength; per lobe; per departure; per additive light; per light of the room; per lobe of the flat.
     slopes : (N, L, 3) float64 array
@@ -264,9 +294,9 @@ def linearise_samples(
     """
     count = len(images)
     ray, raised = np.empty(RAY), np.empty(RAY)
-    b = np.empty(3)
+    b, own, slope = np.empty(3), np.empty(3), np.empty(3)
     at_lobes = 1 + count
-    at_departure = at_lobes + LOBES
+    at_departure = at_lobes + COUNT
     for p in range(first, last):
         b[0], b[1], b[2] = scaled[p, 0], scaled[p, 1], scaled[p, 2]
         columns[p] = 0
@@ -294,11 +324,10 @@ def linearise_samples(
                 np.float64(raised_lights[k, p, 0]), np.float64(raised_lights[k, p, 1]),
                 np.float64(raised_lights[k, p, 2]), wx, wy, wz, raised,
             )  # fmt: skip
-            value = shade(b[0], b[1], b[2], ray, vx, vy, vz, gloss, departure)
-            above = shade(b[0], b[1], b[2], raised, wx, wy, wz, gloss, departure)
+            value = shade(b, ray, vx, vy, vz, gloss, departure, own, slopes[p, k])
+            above = shade(b, raised, wx, wy, wz, gloss, departure, own, slope)
             residuals[p, k] = images[k, p] - value
             precisions[p, k] = _precision(value, weight, misfit, floor)
-            _gradient(b, ray, vx, vy, vz, gloss, departure, value, slopes[p, k])
             of = columns[p, k]
             # What is observed would bring its noise into residual and derivative alike, and their product has a
             # mean: so the change of the predicted reading is taken.
@@ -309,19 +338,155 @@ def linearise_samples(
             upright = nx * ray[7] + ny * ray[8] + nz * ray[9]
             if lit > 0 and seen > 0:
                 if upright > 0:
-                    for j in range(LOBES):
-                        of[at_lobes + j] = (
-                            lobe(SQUARES[j], upright, lit, seen, ray[10]) * ray[3] * LOBE_SCALE
-                        )
+                    for j in range(COUNT):
+                        shine = lobe(SQUARES[j], TAILED[j], upright, lit, seen, ray[10], own)
+                        of[at_lobes + j] = shine * ray[3] * LOBE_SCALE
                 across = ray[11] - lit * seen
                 if across > 0:
                     of[at_departure] = size * ray[3] * across / max(lit, seen) * lit
             of[at_departure + 1] = per_flat[k, p] * (1 - value)
             of[at_departure + 2] = per_flat[k, p] * (size - value)
-            shine = 1.0
-            for j in range(LOBES):
-                mirrored = lobe(SQUARES[j], ray[9], ray[6], vz, ray[10]) / (WHITE * ray[6])
+            glossy = 1.0
+            for j in range(len(OF_FLAT)):
+                at = OF_FLAT[j]
+                mirrored = lobe(SQUARES[at], TAILED[at], ray[9], ray[6], vz, ray[10], own) / (WHITE * ray[6])
                 of[at_departure + 3 + j] = -value * mirrored
-                shine += flat_gloss[j] * mirrored
-            for j in range(LOBES):
-                of[at_departure + 3 + j] /= shine
+                glossy += flat_gloss[at] * mirrored
+            for j in range(len(OF_FLAT)):
+                of[at_departure + 3 + j] /= glossy
+
+
+@kernel
+def eliminate_normals(
+    columns: Array,
+    slopes: Array,
+    precisions: Array,
+    scaled: Array,
+    first: int,
+    last: int,
+    inverses: Array,
+    tilts: Array,
+) -> None:
+    """Find what a unit of each shared unknown does to the slopes of the surface.
+
+    Parameters
+    ----------
+    columns, slopes, precisions : arrays
+        Of `linearise_samples`; precisions become 0 in pixels that are not known.
+    scaled : (N, 3) float64 array
+        Scaled normals.
+    first, last : int
+        Pixels.
+    inverses : (N, 6) float64 array
+        Receives the upper triangle of the scaled normals' covariance.
+    tilts : (2, M, N) float64 array
+        Receives the changes of dz/dx and of dz/dy.
+    """
+    count, unknowns = columns.shape[1], columns.shape[2]
+    matrix, none, out = np.empty(6), np.zeros(3), np.empty(9)
+    turned = np.empty((3, unknowns))
+    for p in range(first, last):
+        matrix[:] = 0
+        for k in range(count):
+            w = precisions[p, k]
+            x, y, z = slopes[p, k, 0], slopes[p, k, 1], slopes[p, k, 2]
+            matrix[0] += w * x * x
+            matrix[1] += w * x * y
+            matrix[2] += w * x * z
+            matrix[3] += w * y * y
+            matrix[4] += w * y * z
+            matrix[5] += w * z * z
+        if not _solve(matrix, none, out):
+            precisions[p] = 0
+            inverses[p] = 0
+            tilts[:, :, p] = 0
+            continue
+        for k in range(6):
+            inverses[p, k] = out[3 + k]
+        turned[:] = 0
+        for k in range(count):
+            w = precisions[p, k]
+            x, y, z = w * slopes[p, k, 0], w * slopes[p, k, 1], w * slopes[p, k, 2]
+            for m in range(unknowns):
+                turned[0, m] += x * columns[p, k, m]
+                turned[1, m] += y * columns[p, k, m]
+                turned[2, m] += z * columns[p, k, m]
+        bx, by, bz = scaled[p, 0], scaled[p, 1], scaled[p, 2]
+        for m in range(unknowns):
+            # A change of the unknown turns the normal the other way.
+            x = -(out[3] * turned[0, m] + out[4] * turned[1, m] + out[5] * turned[2, m])
+            y = -(out[4] * turned[0, m] + out[6] * turned[1, m] + out[7] * turned[2, m])
+            z = -(out[5] * turned[0, m] + out[7] * turned[1, m] + out[8] * turned[2, m])
+            tilts[0, m, p] = -(x - bx / bz * z) / bz
+            tilts[1, m, p] = -(y - by / bz * z) / bz
+
+
+@kernel
+def add_equations(
+    columns: Array,
+    slopes: Array,
+    precisions: Array,
+    residuals: Array,
+    inverses: Array,
+    bends: Array,
+    first: int,
+    last: int,
+    matrix: Array,
+    scores: Array,
+) -> None:
+    """Add the pixels' share of the normal equations, the normals eliminated.
+
+    Parameters
+    ----------
+    columns, slopes, precisions, residuals : arrays
+        Of `linearise_samples`.
+    inverses : (N, 6) float64 array
+        Of `eliminate_normals`.
+    bends : (N, M) float64 array
+        What a unit of each unknown does to the height here, mm.
+    first, last : int
+        Pixels.
+    matrix : (M, M) float64 array
+        Its upper triangle is added to.
+    scores : (N, M) float64 array
+        Receives each pixel's share of the right-hand side.
+    """
+    count, unknowns = columns.shape[1], columns.shape[2]
+    seen = np.empty((count, unknowns))
+    turned, x = np.empty((3, unknowns)), np.empty(3)
+    for p in range(first, last):
+        scores[p] = 0
+        if inverses[p, 0] == 0:
+            continue
+        turned[:] = 0
+        for k in range(count):
+            w = precisions[p, k]
+            raised = columns[p, k, 0]
+            x[0], x[1], x[2] = w * slopes[p, k, 0], w * slopes[p, k, 1], w * slopes[p, k, 2]
+            for m in range(unknowns):
+                value = columns[p, k, m] + raised * bends[p, m]
+                seen[k, m] = value
+                turned[0, m] += x[0] * value
+                turned[1, m] += x[1] * value
+                turned[2, m] += x[2] * value
+        a, b, c = inverses[p, 0], inverses[p, 1], inverses[p, 2]
+        d, e, f = inverses[p, 3], inverses[p, 4], inverses[p, 5]
+        for m in range(unknowns):
+            t, u, v = turned[0, m], turned[1, m], turned[2, m]
+            turned[0, m] = a * t + b * u + c * v
+            turned[1, m] = b * t + d * u + e * v
+            turned[2, m] = c * t + e * u + f * v
+        for k in range(count):
+            w = precisions[p, k]
+            if w == 0:
+                continue
+            sx, sy, sz = slopes[p, k, 0], slopes[p, k, 1], slopes[p, k, 2]
+            for m in range(unknowns):
+                seen[k, m] -= sx * turned[0, m] + sy * turned[1, m] + sz * turned[2, m]
+            rest = w * residuals[p, k]
+            for m in range(unknowns):
+                value = seen[k, m]
+                scores[p, m] += rest * value
+                weighted = w * value
+                for n in range(m, unknowns):
+                    matrix[m, n] += weighted * seen[k, n]

@@ -64,7 +64,9 @@ def choose(
     """
     sizes = [len(groups)] if every else range(len(groups) + 1)
     trials = [some for size in sizes for some in combinations(groups, size)]
-    return max((_fit(matrix, right, precisions, centres, some) for some in trials), key=lambda found: found.evidence)
+    return max(
+        (_fit(matrix, right, precisions, centres, some) for some in trials), key=lambda found: found.evidence
+    )
 
 
 def _fit(matrix: Array, right: Array, precisions: Array, centres: Array, some: Sequence[Group]) -> Found:
@@ -76,7 +78,9 @@ def _fit(matrix: Array, right: Array, precisions: Array, centres: Array, some: S
         inner = matrix[np.ix_(places, places)] + np.diag(precisions[places])
         shifted = right[places] - matrix[np.ix_(places, places)] @ centres[places]
         values = np.linalg.solve(inner, shifted)
-        worst = min((k for k, place in enumerate(free) if place in positive), key=lambda k: values[k], default=None)
+        worst = min(
+            (k for k, place in enumerate(free) if place in positive), key=lambda k: values[k], default=None
+        )
         if worst is None or values[worst] >= 0:
             break
         free.pop(worst)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +22,7 @@ from nlights_core.errors import TileError
 from nlights_core.fields import LightField
 from nlights_core.frames import Array
 from nlights_core.integration.normal_integration import least_squares_height
+from nlights_core.near_light.overview import ReducedRoom
 from nlights_core.photographs.development import Raw
 from nlights_core.photographs.flat_fields import FlatField
 from nlights_core.solving.least_squares import fit, lit
@@ -62,6 +64,8 @@ class Calibration:
         Groups of which there is evidence.
     covariance : (M, M) float64 array
         Of the unknowns; 0 where not fitted.
+    level_uncertainty : float
+        Standard uncertainty of the level as far as the fit can tell, mm.
     equations : Equations
         Of the last round.
     height : (h, w) float32 array
@@ -74,13 +78,18 @@ class Calibration:
     free: tuple[int, ...]
     believed: tuple[str, ...]
     covariance: Array
+    level_uncertainty: float
     equations: Equations
     height: Array
     strange: Array
 
 
 def calibrate(
-    room: object, lights: LightField, flat_field: FlatField, chosen: tuple[str, ...]
+    room: ReducedRoom,
+    lights: LightField,
+    flat_field: FlatField,
+    chosen: tuple[str, ...],
+    progress: Callable[[float], None] = lambda _: None,
 ) -> Calibration:
     """Find what all pixels of a tile share.
 
@@ -92,15 +101,14 @@ def calibrate(
         Near lamps, and what a flat reads.
     chosen : tuple of str
         Groups that may be believed, beside the level.
+    progress : callable
+        Told the share done.
 
     Raises
     ------
     TileError
         When no normal could be found.
     """
-    from nlights_core.near_light.overview import ReducedRoom
-
-    assert isinstance(room, ReducedRoom)
     raw = room.raw(0, room.grid.rows, lights)
     count = len(lights.lamps)
     kinds = [group for group in groups(count) if group.name in chosen]
@@ -108,10 +116,12 @@ def calibrate(
     scaled: Array | None = None
     spread = 0.0
     for round_number in range(ROUNDS + 1):
-        flat, readings = flat_field_of(flat_field, lights, shared), corrected(raw, flat_field, shared)
+        flat = flat_field_of(flat_field, lights, shared)
+        readings = corrected(raw, flat_field, shared, scaled)
         scaled, surprise = _solve(room, readings, lights, flat, z, shared, scaled, spread)
         strange = _strange(surprise)
         z = _integrate(room, scaled, strange, shared.level)
+        progress((round_number + 1) / (ROUNDS + 1))
         if round_number == ROUNDS:
             break
         known = np.isfinite(scaled[..., 0]) & ~strange & raw.inside
@@ -121,9 +131,8 @@ def calibrate(
         spread = equations.scale
         found = _step(equations, shared, kinds, every=round_number < WITHOUT_CHOICE)
         shared = shared.moved(found.values)
-    return Calibration(
-        shared, found.free, found.believed, _covariance(equations, shared, found), equations, z, strange
-    )
+    covariance, level = _covariance(equations, shared, found)
+    return Calibration(shared, found.free, found.believed, covariance, level, equations, z, strange)
 
 
 def _step(equations: Equations, shared: Shared, kinds: list[Group], *, every: bool) -> evidence.Found:
@@ -132,8 +141,12 @@ def _step(equations: Equations, shared: Shared, kinds: list[Group], *, every: bo
     return evidence.choose(equations.matrix, right, precisions, centres, kinds, every)
 
 
-def _covariance(equations: Equations, shared: Shared, found: evidence.Found) -> Array:
-    """Covariance of the unknowns that were fitted, by the scatter of the equations between parts of the field."""
+def _covariance(equations: Equations, shared: Shared, found: evidence.Found) -> tuple[Array, float]:
+    """Covariance of the unknowns that were fitted, by the scatter of the equations between parts of the field.
+
+    Of the level the posterior's own standard deviation is given as well: what is wrong with the flat everywhere does
+    not scatter.
+    """
     precisions, _ = prior(shared)
     places = np.array(found.free)
     block = np.ix_(places, places)
@@ -141,11 +154,11 @@ def _covariance(equations: Equations, shared: Shared, found: evidence.Found) -> 
     middle = equations.scatter[block] + np.diag(precisions[places])
     out = np.zeros_like(equations.matrix)
     out[block] = inverse @ middle @ inverse
-    return out
+    return out, float(np.sqrt(inverse[0, 0]))
 
 
 def _solve(
-    room: object,
+    room: ReducedRoom,
     raw: Raw,
     lights: LightField,
     flat_field: FlatField,
@@ -155,14 +168,13 @@ def _solve(
     spread: float,
 ) -> tuple[Array, Array]:
     """Scaled normals (h, w, 3) float64 of all pixels, and their residuals (h, w) in standard deviations."""
-    from nlights_core.near_light.overview import ReducedRoom
-
-    assert isinstance(room, ReducedRoom)
     band = room.develop(raw, lights, flat_field, z)
     count, *shape = band.grey.shape
     weights = lit(band.grey, band.weights, SHADOW)
     rays = np.broadcast_to(band.lights, (count, *shape, 3))
-    scaled = np.moveaxis(fit(band.grey, rays, weights, CONDITION).scaled, 0, -1).reshape(-1, 3).astype(np.float64)
+    scaled = (
+        np.moveaxis(fit(band.grey, rays, weights, CONDITION).scaled, 0, -1).reshape(-1, 3).astype(np.float64)
+    )
     if before is not None:
         # Begin where the last round ended: a highlight has more than one answer.
         known = np.isfinite(before.reshape(-1, 3)[:, 0])
@@ -190,13 +202,10 @@ def _strange(surprise: Array) -> Array:
         return np.asarray(surprise > STRANGE * np.nanmedian(surprise))
 
 
-def _integrate(room: object, scaled: Array, strange: Array, level: float) -> Array:
+def _integrate(room: ReducedRoom, scaled: Array, strange: Array, level: float) -> Array:
     """Height of mean ``level``, (h, w) float32 mm; pixels of another material get the median normal."""
     from scipy.ndimage import binary_dilation
 
-    from nlights_core.near_light.overview import ReducedRoom
-
-    assert isinstance(room, ReducedRoom)
     size = np.linalg.norm(scaled, axis=-1, keepdims=True)
     with np.errstate(invalid="ignore"):
         normals = (scaled / size).astype(np.float32)
@@ -205,5 +214,4 @@ def _integrate(room: object, scaled: Array, strange: Array, level: float) -> Arr
         normals[wide] = np.nanmedian(normals[~wide], axis=0)
     height = least_squares_height(normals, room.grid, stencil="6-point", steepest_deg=STEEPEST_DEG)
     height += np.float32(level - np.nanmean(height))
-    return np.where(np.isnan(height), np.float32(level), height)
-
+    return np.where(np.isnan(height), np.float32(level), height).astype(np.float32)

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
-from nlights_core.calibration.compiled_reflectance import linearise_samples, solve_normals
-from nlights_core.calibration.reflectance import ROUGHNESS
+from nlights_core.calibration.compiled_reflectance import (
+    add_equations,
+    eliminate_normals,
+    linearise_samples,
+    solve_normals,
+)
+from nlights_core.calibration.reflectance import FLAT_LOBES, LOBES
 from nlights_core.calibration.sampling import Pixels, Samples, develop_pixels, readings_of_constant
 from nlights_core.calibration.unknowns import Shared
 from nlights_core.fields import LightField
 from nlights_core.frames import Array, PixelGrid
 from nlights_core.integration.poisson import simchony
-from nlights_core.machine.band_threads import cores, in_order
+from nlights_core.machine.band_threads import in_order
 from nlights_core.photographs.development import Darkroom
 from nlights_core.photographs.flat_fields import FlatField
 
@@ -32,8 +38,8 @@ INDEPENDENT = 1000
 CELL = 12
 """Edge, px of the reduced photographs, of the blocks on which what shared unknowns do to the height is computed."""
 
-STRANGE = 8.0
-"""Pixels whose residual is so many times the median pixel's are of another material, and have no say."""
+PART = 2048
+"""Pixels that are worked on together."""
 
 CELLS = (6, 8)
 """Parts of the field between which the scatter of the equations is taken."""
@@ -54,6 +60,8 @@ class Equations(NamedTuple):
         Spread of the residuals in standard deviations.
     blocks : (L, h, w) float64 array
         Mean residuals as shares of the albedo, on the same blocks; NaN where none is known.
+    noise : float
+        Variance that noise alone gives these.
     """
 
     matrix: Array
@@ -62,6 +70,7 @@ class Equations(NamedTuple):
     bends: Array
     scale: float
     blocks: Array
+    noise: float
 
 
 def improve_normals(samples: Samples, shared: Shared, scaled: Array, limit: float, rounds: int) -> Array:
@@ -112,20 +121,22 @@ def linearise(
     with np.errstate(divide="ignore", invalid="ignore"):
         dimmer = np.where(here.images != 0, above.images / here.images, 1).astype(np.float32)
     count, size = here.images.shape
-    columns = np.empty((size, count, 1 + count + 2 * len(ROUGHNESS) + 3))
+    columns = np.empty((size, count, 4 + count + len(LOBES) + len(FLAT_LOBES)))
     slopes, residuals, precisions = np.empty((size, count, 3)), *np.empty((2, size, count))
-    step = -(-size // (4 * cores()))
-
-    def some(first: int) -> None:
-        linearise_samples(
-            *(np.ascontiguousarray(a, np.float32) for a in (here.images, here.lights, here.weights, here.views)),
-            *(np.ascontiguousarray(a, np.float32) for a in (above.lights, above.views, dimmer, constant)),
-            scaled, shared.gloss, shared.departure, shared.flat_gloss, MISFIT, STEP, first, min(first + step, size),
-            columns, slopes, residuals, precisions,
-        )  # fmt: skip
-
-    for _ in in_order(some, range(0, size, step)):
-        pass
+    samples = (
+        here.images,
+        here.lights,
+        here.weights,
+        here.views,
+        above.lights,
+        above.views,
+        dimmer,
+        constant,
+    )
+    samples = tuple(np.ascontiguousarray(array, np.float32) for array in samples)
+    state = (scaled, shared.gloss, shared.departure, shared.flat_gloss, MISFIT, STEP)
+    found = (columns, slopes, residuals, precisions)
+    _in_parts(size, lambda *part: linearise_samples(*samples, *state, *part, *found))
     return _eliminate(room.grid, pixels, columns, slopes, residuals, precisions, scaled)
 
 
@@ -139,30 +150,51 @@ def _eliminate(
     scaled: Array,
 ) -> Equations:
     """Eliminate the normals, and add to each column the bend of the height that it makes."""
-    count = columns.shape[1]
+    size, count, unknowns = columns.shape
     usable = (precisions > 0).sum(axis=1) > 3
     precisions[~usable] = 0
     scale = residual_spread(residuals, precisions)
     surprise = residuals**2 * precisions / (TUNING * scale) ** 2
+    albedo = np.linalg.norm(scaled, axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        variances = np.where(precisions > 0, scale**2 / precisions, np.nan) / albedo[:, None] ** 2
     precisions = precisions / (1 + surprise)
-    inverse, turned = _inverse(slopes, precisions)
-    # Change of the scaled normal per unit of each.
-    by_unit = -np.einsum("nab,nbm->nam", inverse, np.swapaxes(turned, 1, 2) @ columns)
-    bends, at_pixels = _bends(grid, pixels, scaled, by_unit, usable)
-    columns = columns + columns[:, :, :1] * at_pixels[:, None, :]
-    by_unit = -np.einsum("nab,nbm->nam", inverse, np.swapaxes(turned, 1, 2) @ columns)
-    seen = columns + slopes @ by_unit
-    weighted = seen * precisions[:, :, None]
-    flat = seen.reshape(-1, seen.shape[-1])
+    inverses, tilts = np.empty((size, 6)), np.empty((2, unknowns, size))
+    _in_parts(
+        size, lambda *part: eliminate_normals(columns, slopes, precisions, scaled, *part, inverses, tilts)
+    )
+    usable = precisions.any(axis=1)
+    bends, at_pixels = _bends(grid, pixels, tilts, usable)
+    scores, matrices = np.empty((size, unknowns)), []
+
+    def add(first: int, last: int) -> None:
+        matrix = np.zeros((unknowns, unknowns))
+        add_equations(
+            columns, slopes, precisions, residuals, inverses, at_pixels, first, last, matrix, scores
+        )
+        matrices.append((first, matrix))
+
+    _in_parts(size, add)
     share = min(1.0, INDEPENDENT / max(int(usable.sum()), 1)) / scale**2
-    matrix = share * (flat.T @ weighted.reshape(flat.shape))
-    scores = np.einsum("nlm,nl->nm", weighted, residuals)
+    # In their order, so that the sum is the same however many threads there are.
+    matrix = share * np.sum([part for _, part in sorted(matrices, key=lambda one: one[0])], axis=0)
+    matrix = np.triu(matrix) + np.triu(matrix, 1).T
     right = share * scores.sum(axis=0)
     scatter = _scatter(grid, pixels, share * scores)
-    albedo = np.linalg.norm(scaled, axis=1)
     rest = np.where(precisions > 0, residuals / albedo[:, None], np.nan)
     blocks = np.stack([_on_blocks(grid, pixels, rest[:, k], usable) for k in range(count)])
-    return Equations(matrix, right, scatter, bends, scale, blocks)
+    noise = _noise(grid, pixels, variances, usable)
+    return Equations(matrix, right, scatter, bends, scale, blocks, noise)
+
+
+def _in_parts(size: int, work: Callable[[int, int], None]) -> None:
+    """Work on parts of the pixels in threads."""
+
+    def some(first: int) -> None:
+        work(first, min(first + PART, size))
+
+    for _ in in_order(some, range(0, size, PART)):
+        pass
 
 
 def residual_spread(residuals: Array, precisions: Array) -> float:
@@ -173,19 +205,6 @@ def residual_spread(residuals: Array, precisions: Array) -> float:
     count = used.sum() / max(int(used.any(axis=1).sum()), 1)
     typical = np.median(np.abs(residuals[used]) * np.sqrt(precisions[used])) / 0.6745
     return max(float(typical * np.sqrt(count / max(count - 3, 0.5))), 1e-6)
-
-
-def _inverse(slopes: Array, precisions: Array) -> tuple[Array, Array]:
-    """Covariance of the scaled normals (N, 3, 3), 0 where not known; and slopes times precision."""
-    turned = slopes * precisions[:, :, None]
-    matrix = np.swapaxes(slopes, 1, 2) @ turned
-    trace = np.einsum("nkk->n", matrix)
-    known = np.linalg.det(matrix) > 1e-9 * trace**3
-    matrix[~known] = np.eye(3)
-    inverse = np.linalg.inv(matrix)
-    inverse[~known] = 0
-    precisions[~known] = 0
-    return inverse, np.where(known[:, None, None], turned, 0)
 
 
 def coarse_grid(grid: PixelGrid) -> PixelGrid:
@@ -204,25 +223,29 @@ def _on_blocks(grid: PixelGrid, pixels: Pixels, values: Array, usable: Array) ->
         return np.asarray(total / np.where(number > 0, number, np.nan)).reshape(coarse.shape)
 
 
-def _bends(
-    grid: PixelGrid, pixels: Pixels, scaled: Array, by_unit: Array, usable: Array
-) -> tuple[Array, Array]:
-    """What a unit of each unknown does to the integrated height: on blocks (M, h, w), and at the pixels (N, M)."""
+def _noise(grid: PixelGrid, pixels: Pixels, variances: Array, usable: Array) -> float:
+    """Variance of the mean residual of a block by noise, of the typical sample."""
     coarse = coarse_grid(grid)
-    bx, by, bz = (scaled[:, k, None] for k in range(3))
-    with np.errstate(invalid="ignore"):
-        across = -(by_unit[:, 0] - bx / bz * by_unit[:, 2]) / bz
-        up = -(by_unit[:, 1] - by / bz * by_unit[:, 2]) / bz
-    bends = np.empty((by_unit.shape[2], *coarse.shape))
-    for m in range(len(bends)):
-        steps = [fill(_on_blocks(grid, pixels, part[:, m], usable)) for part in (across, -up)]
-        bends[m] = simchony(steps[0] * coarse.pixel_size, steps[1] * coarse.pixel_size)
-    # A height that is integrated has no level of its own.
-    bends[0] -= bends[0].mean()
-    places = np.stack([(pixels.rows + 0.5) / CELL - 0.5, (pixels.columns + 0.5) / CELL - 0.5])
+    places = (pixels.rows // CELL) * coarse.columns + pixels.columns // CELL
+    number = np.bincount(places[usable], minlength=coarse.rows * coarse.columns)
+    if not number.any():
+        return 0.0
+    free = max(variances.shape[1] - 3, 0) / variances.shape[1]
+    return float(np.nanmean(variances) * np.mean(1 / number[number > 0]) * free)
+
+
+def _bends(grid: PixelGrid, pixels: Pixels, tilts: Array, usable: Array) -> tuple[Array, Array]:
+    """What a unit of each unknown does to the integrated height: on blocks (M, h, w), and at the pixels (N, M)."""
     from scipy.ndimage import map_coordinates
 
-    return bends, np.stack([map_coordinates(bend, places, order=1, mode="nearest") for bend in bends], axis=1)
+    coarse = coarse_grid(grid)
+    bends = np.empty((tilts.shape[1], *coarse.shape))
+    for m in range(len(bends)):
+        across, up = (fill(_on_blocks(grid, pixels, part[m], usable)) for part in tilts)
+        bends[m] = simchony(across * coarse.pixel_size, -up * coarse.pixel_size)
+    places = np.stack([(pixels.rows + 0.5) / CELL - 0.5, (pixels.columns + 0.5) / CELL - 0.5])
+    at_pixels = np.stack([map_coordinates(bend, places, order=1, mode="nearest") for bend in bends], axis=1)
+    return bends, np.ascontiguousarray(at_pixels)
 
 
 def fill(values: Array) -> Array:
@@ -244,4 +267,3 @@ def _scatter(grid: PixelGrid, pixels: Pixels, scores: Array) -> Array:
     sums = np.stack([np.bincount(part, column, down * across) for column in scores.T], axis=1)
     apart = sums - sums.mean(axis=0)
     return np.asarray(apart.T @ apart)
-

@@ -5,7 +5,7 @@ to the flat (u its unit vector) and view v reads
 
     b.l + c |b| |l| O(n) + |l| / 0.9 sum_j s_j G_j(n)
 
-G_j is a highlight of GGX of reflectance 0.04 at normal incidence, O the cross term of Oren and Nayar.  Compiled
+G_j is a highlight of reflectance 0.04 at normal incidence, O the cross term of Oren and Nayar.  Compiled
 loops say the same in `nlights_core.calibration.compiled_reflectance`.
 """
 
@@ -17,8 +17,16 @@ import numpy as np
 
 from nlights_core.frames import Array
 
-ROUGHNESS = (0.05, 0.08, 0.13, 0.2, 0.275, 0.35, 0.45, 0.6)
-"""Of the lobes (GGX's alpha).  With three, a gloss between two of them left a level wrong by several sigmas."""
+LOBES = (
+    *(("ggx", roughness) for roughness in (0.05, 0.08, 0.13, 0.2, 0.275, 0.35, 0.45, 0.6)),
+    *(("beckmann", roughness) for roughness in (0.13, 0.2, 0.3, 0.4, 0.55)),
+)
+"""Distribution of facets, and alpha, of each lobe.  With three, a gloss between two of them left a level wrong by several
+sigmas; without those of Beckmann, which have no tails, a gloss of that kind (or of Blinn, Phong and Ward, which are close
+to it) was not measured at all."""
+
+FLAT_LOBES = (3, 5, 6, 7)
+"""Which of them a flat may have: it is made to be matt."""
 
 NORMAL_REFLECTANCE = 0.04
 """Of a lobe of strength 1: a varnish of refractive index 1.5."""
@@ -34,7 +42,7 @@ class Reflectance:
     Attributes
     ----------
     gloss : (K,) float64 array
-        Strength of each lobe of `ROUGHNESS`; 1: reflectance 0.04.
+        Strength of each of `LOBES`; 1: reflectance 0.04.
     departure : float
         Share c of the cross term.
     """
@@ -63,7 +71,8 @@ def highlights(normals: Array, lights: Array, views: Array) -> Array:
 
     References
     ----------
-    B. Walter et al., "Microfacet models for refraction through rough surfaces", EGSR 2007, equations 20, 33, 34;
+    B. Walter et al., "Microfacet models for refraction through rough surfaces", EGSR 2007, equations 20, 25, 33, 34
+    (masking as of GGX for both distributions);
     Fresnel's term by C. Schlick, "An inexpensive BRDF model", Computer Graphics Forum 13 (1994).
     """
     half = lights + views
@@ -73,10 +82,14 @@ def highlights(normals: Array, lights: Array, views: Array) -> Array:
     upright, lit, seen = _dot(normals, half), _dot(normals, lights), _dot(normals, views)
     faces = (lit > 0) & (seen > 0) & (upright > 0)
     lit, seen = np.where(faces, lit, 1.0), np.where(faces, seen, 1.0)
-    out = np.empty((len(ROUGHNESS), *np.shape(lit)))
-    for lobe, roughness in zip(out, ROUGHNESS, strict=True):
+    upright = np.where(faces, upright, 1.0)
+    out = np.empty((len(LOBES), *np.shape(lit)))
+    for lobe, (kind, roughness) in zip(out, LOBES, strict=True):
         square = roughness**2
-        facets = square / (upright**2 * (square - 1) + 1) ** 2
+        if kind == "ggx":
+            facets = square / (upright**2 * (square - 1) + 1) ** 2
+        else:
+            facets = np.exp((1 - 1 / upright**2) / square) / (square * upright**4)
         masking = _masking(lit, square) * _masking(seen, square)
         lobe[...] = np.where(faces, facets * fresnel * masking / (4 * seen), 0)
     return out

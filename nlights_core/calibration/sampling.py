@@ -112,15 +112,31 @@ def readings_of_constant(
     room: Darkroom, pixels: Pixels, lights: LightField, flat_field: FlatField, z: Array
 ) -> Array:
     """What light as bright as the mean flat, the same everywhere, adds to the pixels' readings, (L, N) float32."""
-    bright = np.full_like(pixels.raw.images, mean_flat(flat_field)) / lights.power.astype(np.float32)[:, None, None]
+    bright = (
+        np.full_like(pixels.raw.images, mean_flat(flat_field))
+        / lights.power.astype(np.float32)[:, None, None]
+    )
     raw = pixels.raw._replace(images=bright)
     points = _points(room.grid, pixels, z)
     return room.develop_points(raw, lights, flat_field, points, pixels.plane).grey[:, 0]
 
 
-def corrected(raw: Raw, flat_field: FlatField, shared: Shared) -> Raw:
-    """Readings without the light that the dark frame lacks, divided by what the lamps are stronger."""
-    always = np.float32(shared.additive * mean_flat(flat_field))
+def corrected(raw: Raw, flat_field: FlatField, shared: Shared, scaled: Array | None) -> Raw:
+    """Readings without light that is always there, divided by what the lamps are stronger.
+
+    Parameters
+    ----------
+    raw : Raw
+    flat_field : FlatField
+        As it was photographed.
+    shared : Shared
+    scaled : (h, w, 3) array, optional
+        Scaled normals, which say how much of the room's light a pixel reflects.
+    """
+    always: Array | np.float32 = np.float32(shared.additive * mean_flat(flat_field))
+    if shared.room and scaled is not None:
+        reflected = np.nan_to_num(np.linalg.norm(scaled, axis=-1)).astype(np.float32)
+        always = always + np.float32(shared.room * mean_flat(flat_field)) * reflected[..., None]
     stronger = np.exp(shared.strengths).astype(np.float32)[:, None, None, None]
     return raw._replace(images=(raw.images - always) / stronger)
 
@@ -130,10 +146,28 @@ def mean_flat(flat_field: FlatField) -> float:
     return float(np.exp(flat_field.logarithm).mean())
 
 
-def within_flat(grid: PixelGrid, lights: LightField, points: Array) -> Array:
-    """Test where a lamp's ray through points meets the plane inside the photographed flat, (L, h, w) bool."""
+BEYOND = 0.01
+"""Share of the field's longer side by which a flat may be continued past its photograph: so far its light is known as
+well as in it."""
+
+
+def within_flat(grid: PixelGrid, lights: LightField, points: Array, beyond: float = 0.0) -> Array:
+    """Test where a lamp's ray through points meets the plane inside the photographed flat, (L, h, w) bool.
+
+    Parameters
+    ----------
+    grid : PixelGrid
+        Of the photographs.
+    lights : LightField
+        Near lamps.
+    points : (3, h, w) array
+        Of the surface, mm.
+    beyond : float
+        Share of the field's longer side that it may lie outside.
+    """
     x, y = np.moveaxis(lights.plane_points(points), 1, 0)
-    across, up = (grid.columns + 1) / 2 * grid.pixel_size, (grid.rows + 1) / 2 * grid.pixel_size
+    margin = beyond * max(grid.shape) + 0.5
+    across, up = (grid.columns / 2 + margin) * grid.pixel_size, (grid.rows / 2 + margin) * grid.pixel_size
     return np.asarray((np.abs(x) <= across) & (np.abs(y) <= up))
 
 
@@ -184,4 +218,3 @@ def _points(grid: PixelGrid, pixels: Pixels, z: Array) -> Array:
         for k in range(2):
             points[k] += (np.float32(grid.camera[k]) - points[k]) * shift
     return points
-

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nlights_core.calibration.reflectance import ROUGHNESS, Reflectance
+from nlights_core.calibration.reflectance import FLAT_LOBES, LOBES, Reflectance
 from nlights_core.frames import Array
 
 LEVEL_PRIOR = 5.0
@@ -61,14 +61,14 @@ class Shared:
     strengths : (L,) float64 array
         Logarithm of each lamp's strength in the frames against the flats.
     gloss : (K,) float64 array
-        Strengths of the white lobes of `nlights_core.calibration.reflectance.ROUGHNESS`.
+        Strengths of the white lobes of `nlights_core.calibration.reflectance.LOBES`.
     departure : float
         Share of the cross term of rough paint.
     additive, room : float
         Light that is in frames and flats but not in the dark frame, and light that the surface reflects; as
         shares of the mean flat.
     flat_gloss : (K,) float64 array
-        Lobes of the flat.
+        The same of the flat; only `nlights_core.calibration.reflectance.FLAT_LOBES` are not 0.
     """
 
     level: float
@@ -87,7 +87,13 @@ class Shared:
     def vector(self) -> Array:
         """All in one, in the order of the columns, (M,) float64."""
         return np.concatenate(
-            [[self.level], self.strengths, self.gloss, [self.departure, self.additive, self.room], self.flat_gloss]
+            [
+                [self.level],
+                self.strengths,
+                self.gloss,
+                [self.departure, self.additive, self.room],
+                self.flat_gloss[list(FLAT_LOBES)],
+            ]
         )
 
     def moved(self, to: Array) -> Shared:
@@ -100,13 +106,15 @@ class Shared:
 
 def nothing(lamps: int) -> Shared:
     """A matt surface in the plane of the flat, under lamps that have not changed."""
-    return from_vector(np.zeros(4 + lamps + 2 * len(ROUGHNESS)), lamps)
+    return from_vector(np.zeros(4 + lamps + len(LOBES) + len(FLAT_LOBES)), lamps)
 
 
 def from_vector(vector: Array, lamps: int) -> Shared:
     """Read what `Shared.vector` wrote."""
-    lobes = len(ROUGHNESS)
+    lobes = len(LOBES)
     first = 1 + lamps
+    flat_gloss = np.zeros(lobes)
+    flat_gloss[list(FLAT_LOBES)] = vector[first + lobes + 3 :]
     departure, additive, room = (float(value) for value in vector[first + lobes : first + lobes + 3])
     return Shared(
         level=float(vector[0]),
@@ -115,20 +123,20 @@ def from_vector(vector: Array, lamps: int) -> Shared:
         departure=departure,
         additive=additive,
         room=room,
-        flat_gloss=np.array(vector[first + lobes + 3 :]),
+        flat_gloss=flat_gloss,
     )
 
 
 def groups(lamps: int) -> list[Group]:
     """Groups of unknowns beside the level, which is always one."""
-    first, lobes = 1 + lamps, len(ROUGHNESS)
+    first, lobes = 1 + lamps, len(LOBES)
     rest = first + lobes
     return [
         Group("lamps", tuple(range(1, first)), False),
         Group("gloss", tuple(range(first, rest)), True),
         Group("departure", (rest,), False),
         Group("ambient", (rest + 1, rest + 2), True),
-        Group("flat-gloss", tuple(range(rest + 3, rest + 3 + lobes)), True),
+        Group("flat-gloss", tuple(range(rest + 3, rest + 3 + len(FLAT_LOBES))), True),
     ]
 
 
@@ -142,14 +150,13 @@ def prior(shared: Shared) -> tuple[Array, Array]:
     strengths = shared.strengths
     middle = np.full(len(strengths), np.median(strengths))
     scatter = FREEDOM * STRENGTH_PRIOR**2 + (strengths - middle) ** 2
-    lobes = len(ROUGHNESS)
     precisions = np.concatenate(
         [
             [LEVEL_PRIOR**-2],
             (FREEDOM + 1) / scatter,
-            np.full(lobes, GLOSS_PRIOR**-2),
+            np.full(len(LOBES), GLOSS_PRIOR**-2),
             [DEPARTURE_PRIOR**-2, AMBIENT_PRIOR**-2, AMBIENT_PRIOR**-2],
-            np.full(lobes, FLAT_GLOSS_PRIOR**-2),
+            np.full(len(FLAT_LOBES), FLAT_GLOSS_PRIOR**-2),
         ]
     )
     centres = np.zeros(len(precisions))

@@ -155,7 +155,8 @@ class Band:
 class Darkroom:
     """The open photographs of a tile: frames or flats, the dark frame and the mask.
 
-    Use `darkroom` to open one.
+    Use `darkroom` to open one.  ``veil`` is light that frames have and the dark frame lacks, as a share of saturation:
+    it is subtracted.
     """
 
     grid: PixelGrid
@@ -166,6 +167,7 @@ class Darkroom:
     mask: Mask | None
     subject: str
     sensor: Sensor | None
+    veil: float = 0.0
     exposures: dict[str, Exposure] = field(default_factory=dict)
     _views: list[Array] = field(default_factory=list)
 
@@ -204,6 +206,8 @@ class Darkroom:
             exposure.add(grey(images[i])[inside], saturated[i][inside])
         step = self.view_step
         self.add_view(images[:, -start % step :: step, ::step].copy())
+        if self.veil:
+            images -= np.float32(self.veil)
         images /= lights.power.astype(np.float32)[:, None, None, :]
         return Raw(start, stop, images, saturated, inside)
 

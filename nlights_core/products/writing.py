@@ -18,10 +18,12 @@ from nlights_core.files.tiffs import Compression
 from nlights_core.frames import Array, PixelGrid
 from nlights_core.machine.band_threads import in_order
 from nlights_core.machine.progress import Progress
+from nlights_core.products.height_uncertainty import Stretched, height_noise
 from nlights_core.products.integrability import integrable_normals, integrable_uncertainty
 from nlights_core.products.meshes import write_glb
 from nlights_core.products.pixel_meshes import write_ply
 from nlights_core.products.viewing import NormalsView, write_albedo_view
+from nlights_core.solving.least_squares import COVERING
 from nlights_core.store import RECORD, ArtefactRef, Store, link_or_copy
 
 COLOURED = ("albedo", "reflection")
@@ -36,6 +38,7 @@ WHAT = {
     "albedo_view.tif": "the albedo for viewing, 16 bit, sRGB",
     "reflection.tif": "reflection map: apparent colour (mean over the lamps) minus albedo, float32, linear, signed",
     "height.tif": "height towards the camera, float32",
+    "height_uncertainty.tif": "standard uncertainty of the height after the best constant, float32",
     "confidence.tif": "standard uncertainty of each normal, degrees, float32",
     "trend.tif": "what detrending removed from the height, float32",
     "mesh.ply": "mesh with a vertex per pixel",
@@ -86,6 +89,7 @@ def write_maps(
     integrated: Array | None = None,
     perspective: bool = False,
     compression: Compression = "none",
+    shared: Array | None = None,
 ) -> None:
     """Write every product that is an image.
 
@@ -109,6 +113,8 @@ def write_maps(
         Whether that height was integrated along the rays of the camera.
     compression : {"none", "zstd"}
         Of the TIFFs, without loss.
+    shared : (2, h, w) float32 array, optional
+        Uncertainty of height (mm) and slope that neighbours share, on coarse blocks over the whole field.
 
     Raises
     ------
@@ -135,7 +141,7 @@ def write_maps(
     progress(0.4)
     tiff(
         folder / "confidence.tif",
-        _uncertainty(maps["confidence"], integrated, places),
+        _uncertainty(maps["confidence"], integrated, places, None if shared is None else shared[1]),
         grid.shape,
         description="Standard uncertainty of the normal, degrees: 68 % of all normals are off by no more; NaN "
         "where not known",
@@ -152,6 +158,13 @@ def write_maps(
     for name, description in said.items():
         rows = (np.asarray(maps[name][band]) for band in places)
         tiff(folder / f"{name}.tif", rows, grid.shape, description=description)
+    if shared is not None:
+        tiff(
+            folder / "height_uncertainty.tif",
+            _height_uncertainty(maps, grid, shared[0], places),
+            grid.shape,
+            description=f"Standard uncertainty of the height after the best constant, {grid.unit}; NaN where not known",
+        )
     progress(1.0)
 
 
@@ -193,11 +206,29 @@ def _normals(
         yield part
 
 
-def _uncertainty(confidence: Array, integrated: Array | None, places: Sequence[slice]) -> Iterator[Array]:
+def _uncertainty(
+    confidence: Array, integrated: Array | None, places: Sequence[slice], slopes: Array | None
+) -> Iterator[Array]:
     """The uncertainty of the normals to be written, band by band."""
-    if integrated is None:
-        return (np.asarray(confidence[band]) for band in places)
-    return in_order(lambda band: integrable_uncertainty(confidence, band.start, band.stop), places)
+    wide = None if slopes is None else Stretched(np.degrees(COVERING * slopes), confidence.shape)
+
+    def made(band: slice) -> Array:
+        own = np.asarray(confidence[band])
+        if integrated is not None:
+            own = integrable_uncertainty(confidence, band.start, band.stop)
+        return own if wide is None else np.hypot(own, wide[band])
+
+    return in_order(made, places)
+
+
+def _height_uncertainty(
+    maps: Mapping[str, Array], grid: PixelGrid, coarse: Array, places: Sequence[slice]
+) -> Iterator[Array]:
+    """The uncertainty of the height, band by band: what neighbours share, and noise through the integrator."""
+    values = sampled(maps["confidence"])
+    noise = height_noise(float(np.median(values)), grid) if values.size else 0.0
+    wide = Stretched(np.hypot(coarse, noise), grid.shape)
+    return (np.where(np.isnan(maps["height"][band]), np.float32(np.nan), wide[band]) for band in places)
 
 
 def write_meshes(folder: Path, height: Array, maps: Path, grid: PixelGrid, progress: Progress) -> None:

@@ -23,7 +23,6 @@ from nlights_core.report.map_statistics import (
 
 if TYPE_CHECKING:
     from nlights_core.lamps.emission import StandCheck
-    from nlights_core.near_light.levelling import Level
     from nlights_core.near_light.position_uncertainty import PositionUncertainty
 
 
@@ -257,10 +256,6 @@ def measure(
     ]
 
 
-MOST_DRIFT = 2.0
-"""Percent by which lamps may have changed since the flats without a warning."""
-
-
 def grouped(numbers: Sequence[Number]) -> list[Number]:
     """The same numbers with those of a group together, groups in the order of their first."""
     groups = list(dict.fromkeys(number.group for number in numbers))
@@ -328,39 +323,5 @@ def of_flat(check: StandCheck | None, stand: str | None, missing: str) -> list[N
             f"The flats can tell a lamp's place to {check.resolution if check else 6:.0f} mm, so a small doubt "
             "proves little.",
             warning,
-        ),
-    ]
-
-
-def of_level(level: Level) -> list[Number]:
-    """Numbers that the photographs give of the surface's level and of the lamps since the flats were taken."""
-    found = level.uncertainty is not None
-    drift = 100 * (float(np.max(level.strengths)) - float(np.min(level.strengths)))
-    return [
-        Number(
-            "Level",
-            "Height added to the mean level",
-            level.offset if found else None,
-            "mm",
-            "Found in the photographs, so that heights count from the plane of the flat.",
-        ),
-        Number(
-            "Level",
-            "Uncertainty of the level",
-            level.uncertainty,
-            "mm",
-            "Standard deviation of the number above; not measured where gloss hides the level.",
-        ),
-        Number(
-            "Level",
-            "Drift of the lamps since the flats",
-            drift if found else None,
-            "%",
-            "Strongest against weakest; it was corrected, and counts as 0 where the flats are no better "
-            "known. Above 2 %, photograph the flats again.",
-            warning=f"The lamps have changed by {drift:.1f} % since the flats were taken: photograph the flats again."
-            if found and drift > MOST_DRIFT
-            else "",
-            code="drift",
         ),
     ]

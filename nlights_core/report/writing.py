@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from nlights_core import __version__
+from nlights_core.calibration.record import read_calibration, read_uncertainty
 from nlights_core.capture import Tile
 from nlights_core.capture_warnings import CaptureWarning, read_warnings, write_warnings
 from nlights_core.fields import LightField
@@ -17,7 +18,6 @@ from nlights_core.files import tiffs
 from nlights_core.files.arrays import read_array
 from nlights_core.frames import Array, PixelGrid
 from nlights_core.lamps.emission import read_stand_check
-from nlights_core.near_light.levelling import read_level
 from nlights_core.near_light.position_uncertainty import position_uncertainty
 from nlights_core.photographs.flat_fields import read_flat_field
 from nlights_core.photographs.masks import Mask
@@ -25,6 +25,7 @@ from nlights_core.photographs.noise import read_noise
 from nlights_core.products.writing import WHAT, open_maps, white_reflectance
 from nlights_core.report import quality
 from nlights_core.report.agreement_quality import of_agreement
+from nlights_core.report.calibration_quality import of_calibration
 from nlights_core.report.figures import NOT_IN_RECIPE, NOT_MEASURED, Number
 from nlights_core.report.flat_quality import of_flat_levels
 from nlights_core.solving.agreement import read_agreement
@@ -84,8 +85,10 @@ def write_report(
     with ThreadPoolExecutor(1) as beside:
         drawing = beside.submit(draw, said, maps, grid)
         numbers = _numbers(maps, grid, tile, made, said, white, inside)
-        if height.stage == "level":
-            numbers += quality.of_level(read_level(store.path(height)))
+        if "calibration" in made:
+            numbers += of_calibration(
+                read_calibration(made["calibration"]), read_uncertainty(made["calibration"])
+            )
         numbers = quality.grouped(numbers)
         places = [store.root / place for place in records if place != agreement.folder]
         others = [warning for place in places for warning in read_warnings(place)]

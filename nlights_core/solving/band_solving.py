@@ -9,7 +9,7 @@ Files, all on the photograph's grid: ``normals.npy`` (H, W, 3), ``albedo.tif`` a
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
@@ -53,6 +53,7 @@ def solve_tile(
     progress: Progress,
     bias: Array | None = None,
     white: float | None = None,
+    correct: Callable[[Band], Band] | None = None,
 ) -> None:
     """Solve a tile band by band into a folder.
 
@@ -74,6 +75,8 @@ def solve_tile(
         Subtracted from the normals, which are then made unit again.
     white : float, optional
         Albedo of the flat, which makes the albedo absolute; None without a photographed flat.
+    correct : callable, optional
+        Takes out of a band what is not of a matt surface, before it is solved.
 
     Raises
     ------
@@ -90,12 +93,13 @@ def solve_tile(
         "shadow": (shape, np.uint8),
     }
     meter = AgreementMeter(room.grid, partial(solve_band, solver))
-    if available() and flat_field is not None and not lights.ambient.any():
+    plain = correct is None and not room.veil and not lights.ambient.any()
+    if available() and flat_field is not None and plain:
         from nlights_core.solving.fused_solving import FusedSolver
 
         strips = FusedSolver(room, solver, lights, flat_field, height, SHADOW, scale).strips(meter)
     else:
-        strips = _by_bands(room, solver, lights, flat_field, height, scale, meter)
+        strips = _by_bands(room, solver, lights, flat_field, height, scale, meter, correct)
     with ExitStack() as stack:
         out: dict[str, BandWriter | BandTiff] = {
             name: stack.enter_context(BandWriter(folder / f"{name}.npy", *kind))
@@ -134,25 +138,28 @@ def _by_bands(
     height: Rows | None,
     scale: float,
     meter: AgreementMeter,
+    correct: Callable[[Band], Band] | None,
 ) -> Iterator[tuple[int, int, Images]]:
-    """Solve where there is no flat field, or ambient light; and without compiled loops."""
+    """Solve where there is no flat field, ambient light or gloss; and without compiled loops."""
 
-    def imaged(band: Band) -> Images:
+    def imaged(raw: Band) -> tuple[Images, Band]:
+        band = correct(raw) if correct else raw
         found = solve_band(solver, band)
         shading = _shading(found, band)
         albedo = np.float32(scale) * coloured_albedo(band.images, shading, found.weights)
-        return Images(
+        images = Images(
             normals=found.normals,
             albedo=albedo,
-            reflection=np.float32(scale) * _apparent(band) - albedo,
+            reflection=np.float32(scale) * _apparent(raw) - albedo,
             confidence=found.confidence,
             residual=relative_residual(band.grey, shading, found),
             used=_count(found.weights > 0),
             saturated=_count(band.saturated),
             shadow=_count(_shadowed(band)),
         )
+        return images, band
 
-    for band, images in room.bands(imaged, lights, flat_field, height):
+    for _, (images, band) in room.bands(imaged, lights, flat_field, height):
         meter.add(band)
         yield band.start, band.stop, images
 

@@ -7,6 +7,7 @@ puts; an algorithm never sees a file, and a stage never sees Prefect.
 
 from nlights_core.stages.agreement import agreement
 from nlights_core.stages.bias import bias
+from nlights_core.stages.calibration import calibration
 from nlights_core.stages.flat_field import flat_field
 from nlights_core.stages.height import height
 from nlights_core.stages.level import level
@@ -21,6 +22,7 @@ from nlights_core.stages.trend import trend
 __all__ = [
     "agreement",
     "bias",
+    "calibration",
     "flat_field",
     "height",
     "level",

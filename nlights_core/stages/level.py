@@ -1,4 +1,4 @@
-"""The stage that finds the height of the whole above the flat."""
+"""The stage that gives a height its constant: its level above the plane of the flat."""
 
 from __future__ import annotations
 
@@ -9,51 +9,36 @@ import numpy as np
 from nlights_core.capture import Tile
 from nlights_core.files.arrays import BandWriter, read_array
 from nlights_core.frames import Array
+from nlights_core.integration.normal_integration import sample_rows
 from nlights_core.machine.band_threads import in_order
 from nlights_core.machine.progress import Progress
-from nlights_core.near_light import levelling
-from nlights_core.near_light.levelling import Level, read_level, write_level
-from nlights_core.photographs.development import bands_of_grid, darkroom
-from nlights_core.photographs.flat_fields import read_flat_field
-from nlights_core.photographs.noise import read_noise
-from nlights_core.stages.inputs import facts_of_photographs, read_lights
+from nlights_core.near_light.overview import Enlarged, block_edge
+from nlights_core.photographs.development import bands_of_grid
+from nlights_core.photographs.headers import grid_of, survey
 from nlights_core.store import ArtefactRef, Store, Work, describe
 
-RESTS_ON = ("integration", "near_light", "photographs", "solving")
+RESTS_ON = ("integration", "near_light", "photographs")
 """Departments whose code decides the result, beside what all results rest on."""
 
 
-def level(
-    store: Store,
-    tile: Tile,
-    lights: ArtefactRef,
-    flat_field: ArtefactRef,
-    height: ArtefactRef,
-    overview: ArtefactRef,
-) -> Work:
-    """Height above the plane of the flat, ``height.npy``, and what was found, ``level.json``.
-
-    See `nlights_core.near_light.levelling`.  For distant lamps there is nothing to find.  The ``overview`` knows
-    with which strengths of the lamps the height was measured.
-    """
-    facts = facts_of_photographs(store, tile, "frames")
-    inputs = {"lights": lights, "flat_field": flat_field, "height": height, "overview": overview}
-    ref, record = describe("level", tile.artwork, tile.name, rests_on=RESTS_ON, inputs=inputs, facts=facts)
+def level(store: Store, tile: Tile, height: ArtefactRef, calibration: ArtefactRef) -> Work:
+    """Height above the plane of the flat, ``height.npy``: with the constant of the calibration's coarse one."""
+    inputs = {"height": height, "calibration": calibration}
+    ref, record = describe("level", tile.artwork, tile.name, rests_on=RESTS_ON, inputs=inputs)
 
     def make(folder: Path, progress: Progress) -> None:
-        field, divisor = read_lights(store, lights), read_flat_field(store.path(flat_field))
+        grid = grid_of(tile, survey(tile))
         before = read_array(store.path(height) / "height.npy")
-        found = Level(0.0, None, np.ones(len(field.lamps)))
-        with store.scratch() as scratch, darkroom(tile, scratch) as room:
-            grid = room.grid
-            if field.near and grid.unit == "mm":
-                room.noise = read_noise(store.path(flat_field)) or room.noise
-                assumed = read_level(store.path(overview)).strengths
-                found = levelling.find_level(room, field, divisor, before, assumed)
-        write_level(folder, found)
+        coarse = Enlarged(
+            read_array(store.path(calibration) / "height.npy"), block_edge(grid.columns), grid.shape
+        )
+        lines = sample_rows(grid)
+        apart = [coarse[row : row + 1] - before[row : row + 1] for row in range(*lines.indices(grid.rows))]
+        # The median: patches of another material are unlike in both.
+        offset = np.float32(np.nanmedian(np.concatenate(apart)))
 
         def raised(rows: tuple[int, int]) -> Array:
-            return np.asarray(before[slice(*rows)] + np.float32(found.offset))
+            return np.asarray(before[slice(*rows)] + offset)
 
         with BandWriter(folder / "height.npy", before.shape) as file:
             for rows in in_order(raised, bands_of_grid(grid, 48)):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from nlights_core.calibration.record import read_uncertainty
 from nlights_core.capture import Tile
 from nlights_core.files.arrays import read_array
 from nlights_core.files.tiffs import Compression
@@ -13,7 +14,7 @@ from nlights_core.photographs.headers import grid_of, survey
 from nlights_core.products.writing import open_maps, white_reflectance, write_maps
 from nlights_core.store import ArtefactRef, Store, Work, describe
 
-RESTS_ON = ("photographs", "products")
+RESTS_ON = ("calibration", "near_light", "photographs", "products")
 """Departments whose code decides the result, beside what all results rest on."""
 
 
@@ -26,14 +27,18 @@ def maps(
     integrated: ArtefactRef | None = None,
     perspective: bool = False,
     compression: Compression = "none",
+    calibration: ArtefactRef | None = None,
 ) -> Work:
     """Products that are images: normals, albedo, reflection, height, confidence, trend.
 
     ``integrated`` is the height of these normals before anything was done to it, where they shall
     be made integrable with it, and ``perspective`` says whether its integrator followed the rays
-    of the camera.  ``compression`` is that of the TIFFs, "none" or "zstd".
+    of the camera.  ``compression`` is that of the TIFFs, "none" or "zstd".  With a ``calibration`` the height's
+    uncertainty is known, and the normals' grows by what all pixels share.
     """
     inputs = {"normals": normals, "height": height, "trend": trend, "integrated": integrated}
+    if calibration:
+        inputs["calibration"] = calibration
     facts: dict[str, Any] = {"perspective": perspective}
     if compression != "none":
         facts["compression"] = compression
@@ -50,6 +55,7 @@ def maps(
             integrated=read_array(store.path(integrated) / "height.npy") if integrated else None,
             perspective=perspective,
             compression=compression,
+            shared=read_uncertainty(store.path(calibration)) if calibration else None,
         )
 
     return Work(ref, record, make)

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 from nlights_core.algorithms import NormalSolver
+from nlights_core.calibration.correction import known_lights, leave_out_unreached, take_out_gloss
+from nlights_core.calibration.record import read_calibration
+from nlights_core.calibration.reflectance import Reflectance
+from nlights_core.calibration.sampling import flat_field_of, mean_flat
 from nlights_core.capture import Tile
+from nlights_core.fields import LightField
 from nlights_core.files.arrays import read_array
+from nlights_core.frames import PixelGrid
 from nlights_core.machine.progress import Progress
-from nlights_core.near_light.levelling import read_level
 from nlights_core.near_light.overview import Enlarged, block_edge
-from nlights_core.photographs.development import darkroom
+from nlights_core.photographs.development import Band, Rows, darkroom
 from nlights_core.photographs.flat_fields import read_flat_field
 from nlights_core.photographs.headers import grid_of, survey
 from nlights_core.photographs.noise import read_noise
@@ -18,7 +24,7 @@ from nlights_core.solving import band_solving
 from nlights_core.stages.inputs import facts_of_photographs, read_lights
 from nlights_core.store import ArtefactRef, Store, Work, describe
 
-RESTS_ON = ("integration", "near_light", "photographs", "solving")
+RESTS_ON = ("calibration", "integration", "near_light", "photographs", "solving")
 """Departments whose code decides the result, beside what all results rest on."""
 
 
@@ -34,7 +40,8 @@ def normals(
 ) -> Work:
     """Normals and what is solved with them; the files are listed in `nlights_core.solving.band_solving`.
 
-    ``height`` is the `overview`, where there is one.  ``photographed``: the flat field is, so that it
+    ``height`` is the `overview` or the `calibration`, where there is one; what the latter found is taken out of the
+    photographs.  ``photographed``: the flat field is, so that it
     makes the albedo absolute.
     """
     facts = facts_of_photographs(store, tile, "frames")
@@ -51,11 +58,35 @@ def normals(
         if height:
             shape = grid_of(tile, survey(tile)).shape
             before = Enlarged(read_array(store.path(height) / "height.npy"), block_edge(shape[1]), shape)
-            field = field.stronger(read_level(store.path(height)).strengths)
         removed = read_array(store.path(bias) / "bias.npy") if bias else None
         with store.scratch() as scratch, darkroom(tile, scratch) as room:
             if flat_field:
                 room.noise = read_noise(store.path(flat_field)) or room.noise
-            band_solving.solve_tile(room, solver, field, divisor, before, folder, progress, removed, white)
+            correct = None
+            if height and height.stage == "calibration" and divisor is not None:
+                shared = read_calibration(store.path(height)).shared
+                room.veil = shared.additive * mean_flat(divisor)
+                field, divisor = known_lights(field, divisor, shared), flat_field_of(divisor, field, shared)
+                correct = _correction(store.path(height), room.grid, before, shared.reflectance, field)
+            band_solving.solve_tile(
+                room, solver, field, divisor, before, folder, progress, removed, white, correct
+            )
 
     return Work(ref, record, make)
+
+
+def _correction(
+    calibration: Path, grid: PixelGrid, height: Rows | None, reflectance: Reflectance, lights: LightField
+) -> Callable[[Band], Band] | None:
+    """Make what takes out of a band of samples what is not of a matt surface under a known flat; None: nothing."""
+    missed = read_calibration(calibration).unreached > 0
+    if reflectance.matt and not missed:
+        return None
+
+    def correct(band: Band) -> Band:
+        rows = None if height is None else height[band.start : band.stop]
+        if missed:
+            band = leave_out_unreached(band, grid, rows, lights)
+        return band if reflectance.matt else take_out_gloss(band, grid, rows, reflectance)
+
+    return correct

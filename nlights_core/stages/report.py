@@ -12,6 +12,7 @@ from nlights_core.report.writing import write_report
 from nlights_core.store import ArtefactRef, Store, Work, describe
 
 RESTS_ON = (
+    "calibration",
     "capture_warnings",
     "integration",
     "lamps",
@@ -37,6 +38,7 @@ def report(
     trend: ArtefactRef | None,
     maps: ArtefactRef,
     mesh: ArtefactRef,
+    calibration: ArtefactRef | None = None,
 ) -> Work:
     """Products for people: ``report.html``, ``quality.json``, ``warnings.json``, ``provenance.json``."""
     inputs = {
@@ -49,6 +51,7 @@ def report(
         "trend": trend,
         "maps": maps,
         "mesh": mesh,
+        "calibration": calibration,
     }
     facts = {
         "recipe": recipe,

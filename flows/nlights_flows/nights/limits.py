@@ -7,15 +7,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
 from pydantic import Field, model_validator
 
 from nlights_core.configurations import Source, shipped
 from nlights_core.errors import CaptureError
 from nlights_core.frames import PixelGrid
-from nlights_core.near_light.levelling import Level
 from nlights_core.report import quality
 from nlights_core.report.agreement_quality import of_agreement
+from nlights_core.report.calibration_quality import of_calibration
 from nlights_core.report.figures import NOT_IN_RECIPE
 from nlights_core.report.flat_quality import of_flat_levels
 from nlights_core.solving.agreement import Agreement
@@ -108,7 +107,7 @@ def known_numbers() -> dict[str, str]:
         *quality.of_positions(None, None),
         *quality.of_flat(None, None, NOT_IN_RECIPE),
         *of_flat_levels(None, None, None, (), NOT_IN_RECIPE),
-        *quality.of_level(Level(0.0, None, np.ones(1))),
+        *of_calibration(None, None),
     ]
     # The number of lamps stands in this one's name, so that no limit can mean it.
     return {n.name: n.unit for n in numbers if not n.name.startswith("Pixels with all")}

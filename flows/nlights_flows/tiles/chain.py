@@ -42,20 +42,26 @@ def digitise_tile(
     bias = overview = trend = None
     if detrend.normals:
         bias = call(stages.bias, tile, detrend.normals, recipe.normals, lights, flat_field)
-    if recipe.passes > 1:
+    calibration = None
+    if _calibrates(recipe):
+        assert recipe.calibration
+        calibration = call(stages.calibration, tile, lights, flat_field, recipe.calibration.groups())
+    elif recipe.passes > 1:
         overview = call(stages.overview, tile, lights, flat_field, recipe.passes - 1)
     # Only a photographed flat knows what white is.
     white = detrend.images is not None and "flats" in detrend.images.needs
-    normals = call(stages.normals, tile, recipe.normals, lights, flat_field, bias, overview, white)
+    normals = call(
+        stages.normals, tile, recipe.normals, lights, flat_field, bias, calibration or overview, white
+    )
     height = integrated = call(stages.height, tile, recipe.integrator, normals)
     if detrend.height:
         height = trend = call(stages.trend, tile, detrend.height, height)
-    if _levels(recipe):
-        height = call(stages.level, tile, lights, flat_field, height, overview)
+    if calibration:
+        height = call(stages.level, tile, height, calibration)
 
     perspective = recipe.integrable and getattr(recipe.integrator, "perspective", False)
     surface = integrated if recipe.integrable else None
-    maps = call(stages.maps, tile, normals, height, trend, surface, perspective, compression)
+    maps = call(stages.maps, tile, normals, height, trend, surface, perspective, compression, calibration)
     mesh = call(stages.mesh, tile, maps, height)
     record = recipe_record(recipe)
     report = call(
@@ -71,6 +77,7 @@ def digitise_tile(
         trend,
         maps,
         mesh,
+        calibration,
     )
     return {"maps": maps, "mesh": mesh, "report": report}
 
@@ -84,10 +91,11 @@ def steps(recipe: Recipe) -> int:
     """Number of stages that the chain calls for a tile, for a progress bar."""
     detrend = recipe.detrend
     optional = (detrend.images, detrend.normals, detrend.height)
-    return 7 + sum(part is not None for part in optional) + (recipe.passes > 1) + _levels(recipe)
+    calibrates = _calibrates(recipe)
+    return 7 + sum(part is not None for part in optional) + (2 if calibrates else recipe.passes > 1)
 
 
-def _levels(recipe: Recipe) -> bool:
-    """Test whether the height's constant matters and can be found: a second pass, and a photographed flat."""
+def _calibrates(recipe: Recipe) -> bool:
+    """Test whether there is what a calibration needs: near lamps, and a photographed flat."""
     images = recipe.detrend.images
-    return recipe.passes > 1 and images is not None and "flats" in images.needs
+    return recipe.calibration is not None and images is not None and "flats" in images.needs

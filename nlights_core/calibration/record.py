@@ -1,0 +1,93 @@
+"""Record of a calibration in the store: ``calibration.json``, and maps on coarse blocks."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from nlights_core.calibration.fitting import Calibration
+from nlights_core.calibration.uncertainty import SmoothErrors
+from nlights_core.calibration.unknowns import Shared, from_vector
+from nlights_core.files.arrays import write_array
+from nlights_core.frames import Array
+
+SOUND = 0.0005
+"""Smoothed residual, as a share of the albedo, above which the model does not fit."""
+
+MISFIT = 0.001
+"""Smoothed residual above which no level is stated."""
+
+LARGEST = 0.3
+"""Uncertainty of a level above which it counts as not measured, mm."""
+
+MODEL = 0.015
+"""Share of a level by which the model is wrong: lamps that are extended, a flat that is smoothed."""
+
+
+@dataclass(frozen=True)
+class Known:
+    """What is known of a tile as a whole.
+
+    Attributes
+    ----------
+    shared : Shared
+    level_uncertainty : float or None
+        Standard uncertainty of the level, mm; None: it was not measured.
+    believed : tuple of str
+        Groups of which there is evidence.
+    residual : float
+        Smoothed residual, as a share of the albedo.
+    strange : float
+        Share of the pixels that are of another material than most.
+    unreached : float
+        Share of the samples whose ray misses the photographed flat.
+    """
+
+    shared: Shared
+    level_uncertainty: float | None
+    believed: tuple[str, ...]
+    residual: float
+    strange: float
+    unreached: float
+
+
+def write_calibration(folder: Path, found: Calibration, errors: SmoothErrors, missed: float) -> None:
+    """Write ``calibration.json``, ``height.npy`` of the reduced photographs, and ``uncertainty.npy`` (2, h, w).
+
+    ``missed`` is the share of the samples whose ray misses the photographed flat.
+    """
+    level = found.level_uncertainty
+    wide = float(np.hypot(level, MODEL * found.shared.level))
+    record = {
+        "lamps": len(found.shared.strengths),
+        "values": found.shared.vector().tolist(),
+        "level_uncertainty_mm": wide if wide <= LARGEST and errors.residual <= MISFIT else None,
+        "believed": list(found.believed),
+        "residual": errors.residual,
+        "strange": float(found.strange.mean()),
+        "unreached": missed,
+    }
+    (folder / "calibration.json").write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+    write_array(folder / "height.npy", found.height)
+    write_array(folder / "uncertainty.npy", np.stack([errors.height, errors.slope]))
+
+
+def read_calibration(folder: Path) -> Known:
+    """Read what `write_calibration` wrote."""
+    record = json.loads((folder / "calibration.json").read_text(encoding="utf-8"))
+    return Known(
+        from_vector(np.array(record["values"]), record["lamps"]),
+        record["level_uncertainty_mm"],
+        tuple(record["believed"]),
+        record["residual"],
+        record["strange"],
+        record["unreached"],
+    )
+
+
+def read_uncertainty(folder: Path) -> Array:
+    """Uncertainty of height (mm) and slope on coarse blocks, (2, h, w) float32."""
+    return np.asarray(np.load(folder / "uncertainty.npy"))

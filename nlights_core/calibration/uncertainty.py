@@ -1,0 +1,89 @@
+"""Uncertainty of height and normals by what all pixels of a tile share, and by what the model misses."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from nlights_core.calibration.fitting import Calibration
+from nlights_core.calibration.linearisation import coarse_grid, fill
+from nlights_core.fields import LightField
+from nlights_core.frames import Array, PixelGrid
+from nlights_core.integration.poisson import simchony
+
+SHARE = 0.8
+"""Of what the parts below add up to: in 42 captures the true errors were that much smaller, at the median."""
+
+SMOOTH, WIDE = 1.0, 4.0
+"""Over how many blocks residuals, and the errors that they hint at, are smoothed."""
+
+
+class SmoothErrors(NamedTuple):
+    """Standard uncertainties that neighbours share, on coarse blocks.
+
+    Attributes
+    ----------
+    height : (h, w) float32 array
+        After the best constant, mm.
+    slope : (h, w) float32 array
+        Of a slope in one direction.
+    residual : float
+        Smoothed residual beyond noise, rms over the blocks, as a share of the albedo: what the model misses.
+    """
+
+    height: Array
+    slope: Array
+    residual: float
+
+
+def smooth_errors(found: Calibration, lights: LightField, grid: PixelGrid) -> SmoothErrors:
+    """Propagate the covariance of the shared unknowns, and what the model misses, to height and slopes.
+
+    Parameters
+    ----------
+    found : Calibration
+    lights : LightField
+        Near lamps.
+    grid : PixelGrid
+        Of the reduced photographs.
+    """
+    equations = found.equations
+    coarse = coarse_grid(grid)
+    variance = np.einsum("mhw,mn,nhw->hw", equations.bends, found.covariance, equations.bends)
+    across, down = (np.gradient(equations.bends, coarse.pixel_size, axis=axis) for axis in (2, 1))
+    slope = np.einsum("mhw,mn,nhw->hw", across, found.covariance, across) / 2
+    slope += np.einsum("mhw,mn,nhw->hw", down, found.covariance, down) / 2
+    missed, missed_slope, residual = _misfit(equations.blocks, lights, coarse)
+    return SmoothErrors(
+        (SHARE * np.sqrt(np.maximum(variance + missed, 0))).astype(np.float32),
+        (SHARE * np.sqrt(np.maximum(slope + missed_slope, 0))).astype(np.float32),
+        np.sqrt(max(residual**2 - equations.noise / (4 * np.pi * SMOOTH**2), 0.0)),
+    )
+
+
+def _misfit(blocks: Array, lights: LightField, coarse: PixelGrid) -> tuple[Array, Array, float]:
+    """Variance of height and slope by what the model misses, (h, w) each, and the smoothed residual's rms.
+
+    What it misses in the directions that the normals leave free can be seen; it is taken to miss as much in the three
+    that the normals take.  All pairs of the ones and the others are tried.
+    """
+    from scipy.ndimage import gaussian_filter
+
+    count = len(blocks)
+    seen = np.stack([gaussian_filter(fill(block), SMOOTH, mode="nearest") for block in blocks])
+    rays = lights.vectors(coarse.points(0, coarse.rows)).astype(np.float64)
+    rays = np.moveaxis(rays / rays[..., 2:], 0, 2)
+    basis, triangle = np.linalg.qr(rays, mode="complete")
+    free = np.einsum("hwlk,lhw->khw", basis[..., 3:], seen)
+    residual = float(np.sqrt(np.mean(seen**2)))
+    # Light = basis times triangle: a fault along a direction of the normals' space turns them by its inverse.
+    turned = np.linalg.inv(triangle[..., :3, :])
+    height, slope = np.zeros(coarse.shape), np.zeros(coarse.shape)
+    for fault in free:
+        for direction in range(3):
+            across, up = (-turned[..., axis, direction] * fault for axis in (0, 1))
+            height += simchony(across * coarse.pixel_size, -up * coarse.pixel_size) ** 2
+            slope += (across**2 + up**2) / 2
+    number = max(count - 3, 1)
+    return (*(gaussian_filter(part / number, WIDE, mode="nearest") for part in (height, slope)), residual)

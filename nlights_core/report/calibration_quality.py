@@ -1,0 +1,180 @@
+"""Numbers of what all pixels of a tile share: level, lamps, gloss, light that is always there, and how well they fit."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from nlights_core.frames import Array
+from nlights_core.report.figures import Number
+
+if TYPE_CHECKING:
+    from nlights_core.calibration.record import Known
+
+MOST_DRIFT = 2.0
+"""Percent by which lamps may have changed since the flats without a warning."""
+
+SOUND = 0.05
+"""Smoothed residual, percent of the albedo, above which the model does not fit; sound captures have 0.02."""
+
+MOST_MISSED = 0.1
+"""Percent of the samples whose ray misses the flat, above which it is told."""
+
+LEAST_LIGHT = 0.2
+"""Percent of the mean flat above which light that is always there is told."""
+
+
+def of_calibration(known: Known | None, uncertainty: Array | None) -> list[Number]:
+    """Numbers of a calibration.
+
+    Parameters
+    ----------
+    known : Known or None
+        None: to list the numbers only.
+    uncertainty : (2, h, w) array or None
+        Of height and slope, on coarse blocks.
+    """
+    return [*_level(known, uncertainty), *_light(known), *_surface(known)]
+
+
+def _level(known: Known | None, uncertainty: Array | None) -> list[Number]:
+    measured = known is not None and known.level_uncertainty is not None
+    return [
+        Number(
+            "Level",
+            "Mean level",
+            known.shared.level if known and measured else None,
+            "mm",
+            "Mean height above the plane of the flat, found in the photographs: a raised point is lit differently.",
+        ),
+        Number(
+            "Level",
+            "Uncertainty of the level",
+            known.level_uncertainty if known else None,
+            "mm",
+            "Standard uncertainty of the number above; not measured where it is above 0.3 mm or the model does not "
+            "fit.",
+        ),
+        Number(
+            "Level",
+            "Uncertainty of the height",
+            None if uncertainty is None else float(np.sqrt(np.mean(uncertainty[0].astype(float) ** 2))),
+            "mm",
+            "Standard uncertainty of the smooth part of the height after the best constant, typically; "
+            "height_uncertainty.tif has it for every pixel, with noise.",
+        ),
+    ]
+
+
+def _light(known: Known | None) -> list[Number]:
+    drift = additive = room = None
+    if known:
+        strengths = known.shared.strengths
+        drift = 100 * (float(np.exp(strengths.max())) - float(np.exp(strengths.min())))
+        additive, room = 100 * known.shared.additive, 100 * known.shared.room
+    return [
+        Number(
+            "Light",
+            "Drift of the lamps since the flats",
+            drift,
+            "%",
+            "Strongest against weakest; it was corrected, and counts as 0 where there is no evidence of it. Above 2 %, "
+            "photograph the flats again.",
+            warning=f"The lamps have changed by {drift:.1f} % since the flats were taken: photograph the flats again."
+            if drift is not None and drift > MOST_DRIFT
+            else "",
+            code="drift",
+        ),
+        Number(
+            "Light",
+            "Light that the dark frame lacks",
+            additive,
+            "%",
+            "Of the mean flat, in photographs and flats alike; it was taken out, and counts as 0 where there is no "
+            "evidence of it.",
+            warning=f"Photographs and flats have {additive:.1f} % of light that the dark frame lacks: photograph the dark "
+            "frame with the room as it was, the lamps off; the measurement was corrected for it."
+            if additive is not None and additive > LEAST_LIGHT
+            else "",
+            code="additive-light",
+        ),
+        Number(
+            "Light",
+            "Light of the room",
+            room,
+            "%",
+            "Of the mean flat, reflected by artwork and flat; as above.",
+        ),
+    ]
+
+
+def _surface(known: Known | None) -> list[Number]:
+    gloss = departure = flat = residual = strange = missed = None
+    if known:
+        missed = 100 * known.unreached
+        gloss = 4 * float(known.shared.gloss.sum())
+        departure = known.shared.departure
+        flat = 4 * float(known.shared.flat_gloss.sum())
+        residual, strange = 100 * known.residual, 100 * known.strange
+    return [
+        Number(
+            "Surface",
+            "Gloss",
+            gloss,
+            "%",
+            "Reflectance at normal incidence of all highlights together; varnish has 4 %. It was taken out of the "
+            "photographs; 0: there is no evidence of any.",
+        ),
+        Number(
+            "Surface",
+            "Departure from Lambert's law",
+            departure,
+            "",
+            "Share of the term by which rough matt paint departs; 0.4 is very rough.",
+        ),
+        Number(
+            "Surface",
+            "Gloss of the flat",
+            flat,
+            "%",
+            "As for the artwork; it was taken out.",
+            warning=f"The flat has highlights of {flat:.1f} %: it is not matt. They were taken out of its photographs; "
+            "a matt flat is surer."
+            if flat
+            else "",
+            code="flat-gloss",
+        ),
+        Number(
+            "Surface",
+            "Smooth residual",
+            residual,
+            "%",
+            "What the model misses in patches of the field, as a share of the albedo; sound captures have 0.02.",
+            warning=f"The photographs differ from the model by {residual:.2f} % in patches of the field: what the surface "
+            "or the light does is not in the model. The uncertainties include it; no level is stated."
+            if residual is not None and residual > SOUND
+            else "",
+            code="model-misfit",
+        ),
+        Number(
+            "Surface",
+            "Other material",
+            strange,
+            "%",
+            "Pixels that reflect light unlike most, such as gold: they had no say in these numbers.",
+        ),
+        Number(
+            "Surface",
+            "Rays that miss the flat",
+            missed,
+            "%",
+            "A raised point is lit along a ray that meets the flat's plane beside it; where that is outside the "
+            "photographed flat, the sample is left out.",
+            warning=f"{missed:.1f} % of the lamps' rays meet the flat's plane outside its photographs, because the surface "
+            "lies above it; they were left out. Photograph the flats at the height of the artwork, or a larger flat."
+            if missed is not None and missed > MOST_MISSED
+            else "",
+            code="flat-reach",
+        ),
+    ]
