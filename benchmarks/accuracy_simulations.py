@@ -50,7 +50,7 @@ SCENE_COLUMNS = (
     "height",
     "seeds",
 )
-OTHER_RECIPES = ("paper", "psbox")
+OTHER_RECIPES = ("paper", "paper-compensated", "psbox")
 
 Error = tuple[float, float]
 """Mean angle between the normals, degrees; rms of the height, mm."""

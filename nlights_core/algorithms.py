@@ -98,8 +98,8 @@ class LightModel(Algorithm):
     prior: float = Field(
         default=1.0,
         ge=0,
-        description="how strongly the refinement is held to the given lights; 0: not at all, "
-        "and the gauge is left free, as in PSBox",
+        description="how strongly the refinement is held to the given lights; 0: not at all: the "
+        "strengths alone are fitted, by plain least squares, as in PSBox's step 3",
     )
 
     @abstractmethod

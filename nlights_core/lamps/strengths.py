@@ -95,7 +95,7 @@ def refine(field: LightField, images: Array, vectors: Array, prior: float = 1.0)
     vectors : (L, N, 3) array, or broadcastable to it
         ``field.vectors`` at the samples.
     prior : float
-        As in `refine_strengths`.
+        As in `refine_strengths`; 0 is the fit of PSBox: strengths alone, all samples alike.
 
     Returns
     -------
@@ -107,7 +107,14 @@ def refine(field: LightField, images: Array, vectors: Array, prior: float = 1.0)
     TileError
         As in `refine_strengths`.
     """
-    strength, ambient = refine_strengths(images, vectors, prior=prior)
+    if prior == 0:
+        # Ambient light that nothing holds would explain an even artwork by itself, as bright as the lamps.
+        strength, ambient = refine_strengths(
+            images, vectors, prior=0, with_ambient=False, robust=False, shadow=0
+        )
+        strength = strength / strength.mean()
+    else:
+        strength, ambient = refine_strengths(images, vectors, prior=prior)
     return replace(field, power=field.power * strength[:, None], ambient=ambient / strength)
 
 

@@ -14,7 +14,7 @@ from nlights_core.files.reduction import block_means
 from nlights_core.frames import Array, PixelGrid
 from nlights_core.products.viewing import srgb
 from nlights_core.report import pictures, plots
-from nlights_core.report.figures import figure_of
+from nlights_core.report.figures import CHECKED_ON, figure_of
 from nlights_core.report.map_statistics import bias_angle, extremes, unevenness
 from nlights_core.report.pictures import Picture, Tick
 
@@ -239,7 +239,8 @@ def _trust(views: Views) -> Iterable[Picture]:
         yield Picture(
             "Uncertainty of the normals",
             "68 % of the normals are off by no more than this, by the noise of the photographs and by how well they "
-            "agree. Dark colours and places that few lamps reach are less certain.",
+            "agree. Dark colours and places that few lamps reach are less certain. "
+            f"{CHECKED_ON}",
             "Map of the uncertainty of the normals, dark where it is small",
             image,
             bar=bar,

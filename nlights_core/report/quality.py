@@ -9,7 +9,7 @@ import numpy as np
 
 from nlights_core.files.reduction import sampled
 from nlights_core.frames import Array, PixelGrid
-from nlights_core.report.figures import NOT_IN_RECIPE, NOT_MEASURED, Number
+from nlights_core.report.figures import CHECKED_ON, NOT_IN_RECIPE, NOT_MEASURED, Number
 from nlights_core.report.map_statistics import (
     bias_angle,
     extremes,
@@ -108,7 +108,7 @@ def _fit(maps: Mapping[str, Array], grid: PixelGrid) -> list[Number]:
             trust,
             "°",
             "68 % of the normals are off by no more than this, as far as noise and disagreement of the "
-            "photographs tell; what wrong lamp positions add is not in it.",
+            f"photographs tell; what wrong lamp positions add is not in it. {CHECKED_ON}",
         ),
     ]
 

@@ -14,8 +14,8 @@ class FlatResidual(NormalDetrend):
 
     The paper, section 2.2 C: "Different normal values are qualified as systematic distortions
     and their value is subtracted to the normal field of the represented object."  After
-    `flat-field` with the same flat it is zero by construction; it serves when the images are
-    only divided by a computed flat field.
+    `flat-field` with the same flat only the flat's noise is left, which it adds; it serves when
+    the images are divided by a computed flat field.
     """
 
     name: ClassVar[str] = "flat-residual"

@@ -269,15 +269,18 @@ def evaluate(
     """Compare a tile's products with the truth, where it is known.
 
     Prints, and writes as `evaluation.json` into DIR: the angles between the normals in degrees,
-    the difference of the heights in mm (a free constant removed), and the share that is known.
+    the difference of the heights in mm (a free constant removed), the share of both that lies
+    within the uncertainty stated for its pixel (coverage; 0.68 is right), and the share that is
+    known. What DIR states no uncertainty of is not measured (null).
     """
     import json
+    import math
 
     from nlights_core.simulation.evaluation import evaluate as compare
     from nlights_core.store import write_whole
     from nlights_flows.tiles import console
 
-    result = compare(folder, truth)
+    result = {name: None if math.isnan(value) else value for name, value in compare(folder, truth).items()}
     console.show_evaluation(result)
     write_whole(folder / "evaluation.json", json.dumps(result, indent=1) + "\n")
 

@@ -17,6 +17,7 @@ from nlights_core.frames import Array, PixelGrid
 from nlights_core.report.map_statistics import misclosure
 from nlights_core.simulation.evaluation import angles_between
 from nlights_core.solving.agreement import read_agreement
+from nlights_flows.comparison.coverage import Coverage
 
 BLOCKS = 8
 """Blocks of pixels along each side of a tile."""
@@ -81,7 +82,9 @@ METRICS = (
 
 DESCRIBED = {
     "angle_error_p95": ("Error of the normals, 95 % are below", "°"),
+    "normals_coverage": ("Normals within their stated uncertainty; 68 is right", "% of pixels"),
     "height_error_plane": ("Error of the height after the best plane, rms", "mm"),
+    "height_coverage": ("Heights within their stated uncertainty; 68 is right", "% of pixels"),
     "known": ("Known share", "% of pixels"),
     "flat_fit": ("Flat fit, rms", "µm"),
     "seconds": ("Time of all its stages, shared ones included", "s"),
@@ -206,6 +209,10 @@ class _Heights:
         squares = self.squares - 2 * mean * self.sums + mean**2 * counts[..., None]
         return np.asarray(np.maximum(squares, 0))  # rounding may leave less than nothing
 
+    def constant(self, variant: int, count: float) -> float:
+        """The best constant of a variant: the mean of its deviations."""
+        return float(self.pivots[variant] or 0.0) + float(self.sums[..., variant].sum() / count)
+
     def after_plane(self, variant: int, count: float) -> float:
         fitted = np.linalg.lstsq(self.matrix, self.sides[variant], rcond=None)[0] @ self.sides[variant]
         return float(np.sqrt(max(self.squares[..., variant].sum() - fitted, 0) / count))
@@ -223,13 +230,12 @@ def _from_maps(found: TileMeasures, folders: Sequence[Path], truth: Path | None,
     counts = np.zeros(blocks)
     angles = [_Errors(blocks, len(maps)) for _ in references]
     heights = [_Heights(blocks, len(maps)) for _ in references]
+    coverage = Coverage(folders, "confidence.tif")
     step = max(1, int(np.sqrt(grid.rows * grid.columns / _SAMPLE)))
     for row, band in _bands(edges[0], grid.columns):
         parts = [(np.asarray(n[band]), np.asarray(z[band], np.float64)) for n, z in maps]
         others = [(np.asarray(n[band]), np.asarray(z[band], np.float64)) for n, z in references]
-        known = np.logical_and.reduce(
-            [np.isfinite(n).all(axis=-1) & np.isfinite(z) for n, z in (*parts, *others)]
-        )
+        known = _known((*parts, *others))
         counts[row] += np.add.reduceat(known.sum(axis=0), edges[1][:-1])
         plane = _plane(known, band, grid)
         for (n, z), angle, height in zip(others, angles, heights, strict=True):
@@ -238,9 +244,40 @@ def _from_maps(found: TileMeasures, folders: Sequence[Path], truth: Path | None,
                 error = np.where(known, angles_between(normal, n), 0)
                 angle.add(row, edges[1], k, error, error[::step, ::step][known[::step, ::step]])
                 height.add(row, edges[1], k, surface - z, known, plane)
+                if right is not None and angle is angles[-1]:
+                    coverage.add(k, band, error, known)
     found.pixels, found.share = int(counts.sum()), float(counts.sum() / (grid.rows * grid.columns))
-    if found.pixels:
-        _summarise(found, angles, heights, counts, right is not None)
+    if not found.pixels:
+        return
+    _summarise(found, angles, heights, counts, right is not None)
+    if right is not None:
+        found.values["normals_coverage"] = coverage.percents()
+        constants = [heights[-1].constant(k, counts.sum()) for k in range(len(maps))]
+        found.values["height_coverage"] = _height_coverage(folders, [*maps, right], constants, edges[0])
+
+
+def _height_coverage(
+    folders: Sequence[Path], maps: Sequence[tuple[Array, Array]], constants: Sequence[float], rows: Array
+) -> list[float | None]:
+    """Share of the heights within their stated uncertainty, in a second reading: the best constants are known now.
+
+    The last of the ``maps`` is the truth.
+    """
+    coverage = Coverage(folders, "height_uncertainty.tif")
+    stating = [k for k in range(len(folders)) if coverage.states(k)]
+    if not stating:
+        return coverage.percents()
+    for _, band in _bands(rows, maps[0][1].shape[1]):
+        parts = [(np.asarray(n[band]), np.asarray(z[band], np.float64)) for n, z in maps]
+        known = _known(parts)
+        for k in stating:
+            coverage.add(k, band, np.abs(parts[k][1] - parts[-1][1] - constants[k]), known)
+    return coverage.percents()
+
+
+def _known(parts: Sequence[tuple[Array, Array]]) -> Array:
+    """Pixels whose normal and height are known to all, (h, W)."""
+    return np.asarray(np.logical_and.reduce([np.isfinite(n).all(axis=-1) & np.isfinite(z) for n, z in parts]))
 
 
 def _summarise(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from importlib.util import find_spec
 from pathlib import Path
@@ -25,6 +25,7 @@ from nlights_core.machine.compilation import Compilation
 from nlights_core.machine.progress import noting
 from nlights_core.recipe import Recipe
 from nlights_core.registry import Registry
+from nlights_core.report.figures import NOT_MEASURED
 from nlights_flows.tiles.chain import steps
 from nlights_flows.tiles.checking import Finding
 from nlights_flows.tiles.planning import Step
@@ -227,10 +228,10 @@ def show_plugins(registry: Registry) -> None:
     _wide().print(table)
 
 
-def show_evaluation(result: dict[str, Any]) -> None:
-    """Print an evaluation, a number a line."""
+def show_evaluation(result: Mapping[str, float | None]) -> None:
+    """Print an evaluation, a number a line; None is not measured."""
     for name, value in result.items():
-        print(f"{name}: {value:.6g}" if isinstance(value, float) else f"{name}: {value}")
+        print(f"{name}: {NOT_MEASURED if value is None else format(value, '.6g')}")
 
 
 def show_numbers(folders: Sequence[Path]) -> None:

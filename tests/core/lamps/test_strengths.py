@@ -158,6 +158,14 @@ def test_refining_a_light_field_makes_the_chain_see_unit_lamps():
     assert refined.directions is field.directions
 
 
+def test_without_a_prior_the_chain_sees_strengths_alone_of_mean_1():
+    images, _ = matte(0.5, 0.0, UNEVEN)
+    field = LightField(lamps=tuple("abcdefgh"), directions=STAND)
+    refined = refine(field, images, STAND[:, None, :], prior=0)
+    np.testing.assert_allclose(refined.power.ravel(), UNEVEN / UNEVEN.mean(), atol=1e-3)
+    np.testing.assert_array_equal(refined.ambient, 0)
+
+
 def test_too_few_lit_pixels_are_refused():
     images, _ = matte(0.1, 0.0)
     images[3:] = 0
@@ -229,3 +237,7 @@ def test_without_prior_and_ambient_the_strengths_are_those_of_psbox():
     reference = golden["lambda"].ravel()
     np.testing.assert_allclose(strength / strength.mean(), reference / reference.mean(), atol=1e-5)
     np.testing.assert_array_equal(ambient, 0)
+    field = LightField(lamps=tuple(f"L{i}" for i in range(12)), directions=lights)
+    refined = refine(field, np.array(rows), lights[:, None, :], prior=0)
+    np.testing.assert_allclose(refined.power.ravel(), reference / reference.mean(), atol=1e-5)
+    np.testing.assert_array_equal(refined.ambient, 0)

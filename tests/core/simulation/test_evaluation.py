@@ -29,7 +29,9 @@ def truth(tmp_path):
 
 
 def test_the_truth_has_no_error(truth):
-    assert evaluate(truth, truth) == {
+    found = evaluate(truth, truth)
+    coverages = found.pop("normals_coverage"), found.pop("height_coverage")
+    assert found == {
         "angle_mean_deg": 0,
         "angle_median_deg": 0,
         "angle_p95_deg": 0,
@@ -37,6 +39,7 @@ def test_the_truth_has_no_error(truth):
         "height_max_mm": 0,
         "known_share": 1,
     }
+    assert np.isnan(coverages).all()  # the folder states no uncertainty
 
 
 def test_a_tilt_of_all_normals_is_measured(tmp_path, truth):
@@ -75,6 +78,58 @@ def test_products_that_know_nothing_have_no_error_to_state(tmp_path, truth):
     found = evaluate(write(tmp_path / "out", upright() * np.nan, np.zeros((6, 8), np.float32)), truth)
     assert found["known_share"] == 0
     assert math.isnan(found["angle_mean_deg"])
+
+
+def test_coverage_is_the_share_of_errors_within_their_own_uncertainty(tmp_path, truth):
+    normals, height = upright(0.5), np.zeros((6, 8), np.float32)
+    height[:3], height[3:] = 7.1, 6.9  # 0.1 mm off after the best constant, which is free
+    out = write(tmp_path / "out", normals, height)
+    stated = np.full((6, 8), 0.6, np.float32)
+    stated[0] = 0.4
+    tifffile.imwrite(out / "confidence.tif", stated)
+    tifffile.imwrite(out / "height_uncertainty.tif", np.where(stated < 0.5, 0.2, 0.05).astype(np.float32))
+    found = evaluate(out, truth)
+    assert found["normals_coverage"] == pytest.approx(40 / 48)
+    assert found["height_coverage"] == pytest.approx(8 / 48)
+
+
+def test_a_right_uncertainty_covers_68_percent_and_half_of_it_38(tmp_path, truth):
+    shape, random = (400, 400), np.random.default_rng(3)
+    wide = write(
+        tmp_path / "wide", np.broadcast_to([0, 0, 1], (*shape, 3)).astype(np.float32), np.zeros(shape)
+    )
+    sigma = random.uniform(0.01, 0.3, shape)
+    out = write(
+        tmp_path / "out", tifffile.imread(wide / "normals.tif"), 5 + sigma * random.normal(size=shape)
+    )
+    for factor, share in ((1, 0.683), (0.5, 0.383)):
+        tifffile.imwrite(out / "height_uncertainty.tif", (factor * sigma).astype(np.float32))
+        assert evaluate(out, wide)["height_coverage"] == pytest.approx(share, abs=0.005)
+
+
+def test_pixels_without_a_stated_uncertainty_or_without_a_height_have_no_coverage(tmp_path, truth):
+    height = np.zeros((6, 8), np.float32)
+    height[:, 0] = np.nan
+    out = write(tmp_path / "out", upright(0.5), height)
+    stated = np.full((6, 8), 0.4, np.float32)
+    stated[:, 1:3], stated[:, 0] = 0.6, 0.6  # the first column's height is not known, so it does not count
+    stated[:, 3:6] = np.nan
+    tifffile.imwrite(out / "confidence.tif", stated)
+    tifffile.imwrite(out / "height_uncertainty.tif", np.full((6, 8), np.nan, np.float32))
+    found = evaluate(out, truth)
+    assert found["normals_coverage"] == pytest.approx(2 / 4)
+    assert math.isnan(found["height_coverage"])
+
+
+def test_an_uncertainty_of_another_size_is_refused(tmp_path, truth):
+    for name in ("confidence.tif", "height_uncertainty.tif"):
+        out = write(tmp_path / name, upright(), np.zeros((6, 8), np.float32))
+        tifffile.imwrite(out / name, np.ones((3, 4), np.float32))
+        with pytest.raises(TileError, match=rf"{name}: has the size \(3, 4\).*\(6, 8\)"):
+            evaluate(out, truth)
+        (out / name).write_text("no image")
+        with pytest.raises(TileError, match=r"is no readable TIFF"):
+            evaluate(out, truth)
 
 
 def test_faults_name_the_file_and_the_sizes(tmp_path, truth):

@@ -1,6 +1,7 @@
 """The command line, run as people run it: a process of its own."""
 
 import json
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -80,7 +81,24 @@ def test_the_products_agree_with_the_truth(digitised, painting):
     assert result["angle_mean_deg"] < 0.4
     assert result["height_rms_mm"] < 0.2
     assert result["known_share"] == 1
-    assert "angle_mean_deg" in done.stdout
+    assert result["normals_coverage"] == pytest.approx(0.68, abs=0.05)
+    said = dict(line.split(": ") for line in done.stdout.splitlines())
+    assert set(said) == set(result)
+    assert float(said["normals_coverage"]) == pytest.approx(result["normals_coverage"], rel=1e-5)
+
+
+def test_what_products_state_no_uncertainty_of_is_said_to_be_not_measured(painting, tmp_path):
+    for name in ("normals.tif", "height.tif"):
+        shutil.copy(painting / "truth" / name, tmp_path)
+    done = nlights("evaluate", tmp_path, "--truth", painting / "truth")
+    assert "normals_coverage: not measured\n" in done.stdout
+    assert "height_coverage: not measured\n" in done.stdout
+    result = json.loads((tmp_path / "evaluation.json").read_text())
+    assert result["normals_coverage"] is result["height_coverage"] is None
+    assert result["known_share"] == 1
+    uncertain = np.full((120, 160), 0.01, np.float32)
+    tifffile.imwrite(tmp_path / "height_uncertainty.tif", uncertain)
+    assert "height_coverage: 1\n" in nlights("evaluate", tmp_path, "--truth", painting / "truth").stdout
 
 
 def test_the_albedo_and_its_scale_agree_with_the_truth(digitised, painting):

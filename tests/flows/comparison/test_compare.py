@@ -10,7 +10,9 @@ import sys
 from html.parser import HTMLParser
 from pathlib import Path
 
+import numpy as np
 import pytest
+import tifffile
 
 from nlights_core.simulation.evaluation import evaluate
 
@@ -65,6 +67,40 @@ def test_the_winner_is_the_one_that_the_truth_confirms(compared, painting):
     low, high = without["to_best"]["interval"]
     assert 0 < low < without["to_best"]["value"] < high
     assert without["rank"] > 1
+
+
+def test_coverage_of_each_variant_is_that_of_evaluate(compared, painting):
+    out, _, record = compared
+    described = {row["key"]: row["values"] for row in record["described"]}
+    shares = {}
+    for variant in record["variants"]:
+        folder = out / variant["folder"] / "simulated-painting" / "r0c0"
+        shares[variant["name"]] = 100 * evaluate(folder, painting / "truth")["normals_coverage"]
+    assert described["normals_coverage"] == pytest.approx(shares, abs=1e-3)
+    assert described["normals_coverage"]["flat-field + robust"] == pytest.approx(68, abs=5)
+    assert described["normals_coverage"]["no detrend.images + robust"] < 40
+    page = (out / "compare.html").read_text()
+    for title in ("Normals", "Heights"):
+        assert f"{title} within their stated uncertainty; 68 is right" in page
+
+
+def test_coverage_of_the_heights_is_that_of_evaluate_where_an_uncertainty_is_stated(
+    compared, painting, tmp_path
+):
+    out, _, record = compared
+    place = Path(shutil.copytree(out, tmp_path / "out", symlinks=True))
+    folders = {v["name"]: place / v["folder"] / "simulated-painting" / "r0c0" for v in record["variants"]}
+    rising = np.linspace(0, 0.2, 160, dtype=np.float32) * np.ones((120, 1), np.float32)
+    tifffile.imwrite(folders["flat-field + robust"] / "height_uncertainty.tif", rising)
+    words = ("--grid", "detrend.images=flat-field,none", "normals=robust,least-squares")
+    compare(painting, *words, "--out", place)
+    again = json.loads((place / "compare.json").read_text())
+    found = next(row["values"] for row in again["described"] if row["key"] == "height_coverage")
+    truth = {name: evaluate(folder, painting / "truth") for name, folder in folders.items()}
+    for name, value in found.items():
+        expected = 100 * truth[name]["height_coverage"]
+        assert value is None if np.isnan(expected) else value == pytest.approx(expected, abs=1e-2)
+    assert 5 < found["flat-field + robust"] < 95
 
 
 def test_what_variants_have_in_common_is_made_once(compared):
@@ -190,6 +226,8 @@ def test_without_truth_nothing_is_ranked_by_it(capture, compared, tmp_path):
         assert found["winners"] == []
         assert {row["rank"] for row in found["variants"]} == {None}
     assert metric(record, "held_out")["over"] == {"kind": "lamps", "places": 8, "tiles": 1}
+    described = {row["key"]: set(row["values"].values()) for row in record["described"]}
+    assert described["normals_coverage"] == described["height_coverage"] == {None}
 
 
 def test_what_cannot_be_ordered_is_said_before_anything_is_written(painting, tmp_path):

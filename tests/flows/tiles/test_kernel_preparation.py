@@ -52,7 +52,7 @@ def usual(tmp_path_factory):
     return folder
 
 
-@pytest.mark.parametrize("recipe", ["default", "paper", "psbox"])
+@pytest.mark.parametrize("recipe", ["default", "paper", "paper-compensated", "psbox"])
 def test_a_prepared_installation_compiles_nothing_for_a_painting(usual, tmp_path, recipe):
     if not any(map(kernel_cache.is_prepared, [target.name for target in supported_targets()] or [NATIVE])):
         pytest.skip("the loops were not prepared: nlights doctor --warm")
