@@ -75,7 +75,7 @@ def shade(
 ) -> float:
     """Reading of one sample of a scaled normal, and its derivatives by that, into ``out[:3]``; ``own`` is scratch."""
     bx, by, bz = b[0], b[1], b[2]
-    value = bx * ray[0] + by * ray[1] + bz * ray[2]
+    value: float = bx * ray[0] + by * ray[1] + bz * ray[2]
     out[0], out[1], out[2] = ray[0], ray[1], ray[2]
     size = math.sqrt(bx * bx + by * by + bz * bz)
     if size == 0:

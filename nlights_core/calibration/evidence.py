@@ -12,8 +12,8 @@ from nlights_core.calibration.unknowns import Group
 from nlights_core.frames import Array
 
 MARGIN = 10.0
-"""By how much a group must raise the logarithm of the likelihood (nats) to be believed.  In 42 captures the least of a
-true group was 34, the most of a false one 0.8; 6 made the same choices."""
+"""By how much a group must raise the logarithm of the likelihood (nats) to be believed.  In 42 captures the least of
+a true group was 34, the most of a false one 0.8; 6 made the same choices."""
 
 
 class Found(NamedTuple):

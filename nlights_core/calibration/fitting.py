@@ -64,8 +64,6 @@ class Calibration:
         Groups of which there is evidence.
     covariance : (M, M) float64 array
         Of the unknowns; 0 where not fitted.
-    level_uncertainty : float
-        Standard uncertainty of the level as far as the fit can tell, mm.
     equations : Equations
         Of the last round.
     height : (h, w) float32 array
@@ -78,7 +76,6 @@ class Calibration:
     free: tuple[int, ...]
     believed: tuple[str, ...]
     covariance: Array
-    level_uncertainty: float
     equations: Equations
     height: Array
     strange: Array
@@ -131,8 +128,9 @@ def calibrate(
         spread = equations.scale
         found = _step(equations, shared, kinds, every=round_number < WITHOUT_CHOICE)
         shared = shared.moved(found.values)
-    covariance, level = _covariance(equations, shared, found)
-    return Calibration(shared, found.free, found.believed, covariance, level, equations, z, strange)
+    return Calibration(
+        shared, found.free, found.believed, _covariance(equations, shared, found), equations, z, strange
+    )
 
 
 def _step(equations: Equations, shared: Shared, kinds: list[Group], *, every: bool) -> evidence.Found:
@@ -141,20 +139,29 @@ def _step(equations: Equations, shared: Shared, kinds: list[Group], *, every: bo
     return evidence.choose(equations.matrix, right, precisions, centres, kinds, every)
 
 
-def _covariance(equations: Equations, shared: Shared, found: evidence.Found) -> tuple[Array, float]:
-    """Covariance of the unknowns that were fitted, by the scatter of the equations between parts of the field.
+def _covariance(equations: Equations, shared: Shared, found: evidence.Found) -> Array:
+    """Covariance of the unknowns that were fitted, (M, M): the larger of two ways to find it.
 
-    Of the level the posterior's own standard deviation is given as well: what is wrong with the flat everywhere does
-    not scatter.
+    The scatter of the equations between parts of the field knows what neighbours share; the posterior, that what is
+    wrong everywhere does not scatter.
     """
     precisions, _ = prior(shared)
     places = np.array(found.free)
     block = np.ix_(places, places)
     inverse = np.linalg.inv(equations.matrix[block] + np.diag(precisions[places]))
-    middle = equations.scatter[block] + np.diag(precisions[places])
+    scattered = inverse @ (equations.scatter[block] + np.diag(precisions[places])) @ inverse
     out = np.zeros_like(equations.matrix)
-    out[block] = inverse @ middle @ inverse
-    return out, float(np.sqrt(inverse[0, 0]))
+    out[block] = _larger(inverse, scattered)
+    return out
+
+
+def _larger(one: Array, other: Array) -> Array:
+    """The least covariance that is no smaller than one, and in no direction of that smaller than another."""
+    root = np.linalg.cholesky(one)
+    back = np.linalg.inv(root)
+    values, vectors = np.linalg.eigh(back @ other @ back.T)
+    wide = root @ vectors
+    return np.asarray((wide * np.maximum(values, 1)) @ wide.T)
 
 
 def _solve(

@@ -123,20 +123,16 @@ def linearise(
     count, size = here.images.shape
     columns = np.empty((size, count, 4 + count + len(LOBES) + len(FLAT_LOBES)))
     slopes, residuals, precisions = np.empty((size, count, 3)), *np.empty((2, size, count))
-    samples = (
-        here.images,
-        here.lights,
-        here.weights,
-        here.views,
-        above.lights,
-        above.views,
-        dimmer,
-        constant,
-    )
-    samples = tuple(np.ascontiguousarray(array, np.float32) for array in samples)
-    state = (scaled, shared.gloss, shared.departure, shared.flat_gloss, MISFIT, STEP)
-    found = (columns, slopes, residuals, precisions)
-    _in_parts(size, lambda *part: linearise_samples(*samples, *state, *part, *found))
+    given = (here.images, here.lights, here.weights, here.views, above.lights, above.views, dimmer, constant)
+    a, b, c, d, e, f, g, h = (np.ascontiguousarray(array, np.float32) for array in given)
+    values = (scaled, shared.gloss, shared.departure, shared.flat_gloss, MISFIT, STEP)
+
+    def some(first: int, last: int) -> None:
+        linearise_samples(
+            a, b, c, d, e, f, g, h, *values, first, last, columns, slopes, residuals, precisions
+        )
+
+    _in_parts(size, some)
     return _eliminate(room.grid, pixels, columns, slopes, residuals, precisions, scaled)
 
 
@@ -151,7 +147,7 @@ def _eliminate(
 ) -> Equations:
     """Eliminate the normals, and add to each column the bend of the height that it makes."""
     size, count, unknowns = columns.shape
-    usable = (precisions > 0).sum(axis=1) > 3
+    usable: Array = np.asarray((precisions > 0).sum(axis=1) > 3)
     precisions[~usable] = 0
     scale = residual_spread(residuals, precisions)
     surprise = residuals**2 * precisions / (TUNING * scale) ** 2
@@ -160,10 +156,12 @@ def _eliminate(
         variances = np.where(precisions > 0, scale**2 / precisions, np.nan) / albedo[:, None] ** 2
     precisions = precisions / (1 + surprise)
     inverses, tilts = np.empty((size, 6)), np.empty((2, unknowns, size))
-    _in_parts(
-        size, lambda *part: eliminate_normals(columns, slopes, precisions, scaled, *part, inverses, tilts)
-    )
-    usable = precisions.any(axis=1)
+
+    def eliminate(first: int, last: int) -> None:
+        eliminate_normals(columns, slopes, precisions, scaled, first, last, inverses, tilts)
+
+    _in_parts(size, eliminate)
+    usable = np.asarray(precisions.any(axis=1))
     bends, at_pixels = _bends(grid, pixels, tilts, usable)
     scores, matrices = np.empty((size, unknowns)), []
 

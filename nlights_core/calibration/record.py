@@ -59,8 +59,7 @@ def write_calibration(folder: Path, found: Calibration, errors: SmoothErrors, mi
 
     ``missed`` is the share of the samples whose ray misses the photographed flat.
     """
-    level = found.level_uncertainty
-    wide = float(np.hypot(level, MODEL * found.shared.level))
+    wide = float(np.hypot(np.sqrt(found.covariance[0, 0]), MODEL * found.shared.level))
     record = {
         "lamps": len(found.shared.strengths),
         "values": found.shared.vector().tolist(),

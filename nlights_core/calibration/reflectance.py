@@ -21,9 +21,9 @@ LOBES = (
     *(("ggx", roughness) for roughness in (0.05, 0.08, 0.13, 0.2, 0.275, 0.35, 0.45, 0.6)),
     *(("beckmann", roughness) for roughness in (0.13, 0.2, 0.3, 0.4, 0.55)),
 )
-"""Distribution of facets, and alpha, of each lobe.  With three, a gloss between two of them left a level wrong by several
-sigmas; without those of Beckmann, which have no tails, a gloss of that kind (or of Blinn, Phong and Ward, which are close
-to it) was not measured at all."""
+"""Distribution of facets, and alpha, of each lobe.  With three, a gloss between two of them left a level wrong by
+several sigmas; without those of Beckmann, which have no tails, a gloss of that kind (or of Blinn, Phong and Ward,
+which are close to it) was not measured at all."""
 
 FLAT_LOBES = (3, 5, 6, 7)
 """Which of them a flat may have: it is made to be matt."""

@@ -19,7 +19,6 @@ from nlights_core.fields import LightField
 from nlights_core.frames import Array, PixelGrid
 from nlights_core.integration.normal_integration import least_squares_height
 from nlights_core.machine.band_threads import in_order
-from nlights_core.near_light.levelling import Level, find_level
 from nlights_core.photographs.block_means import average_blocks
 from nlights_core.photographs.development import BAND_BYTES, Darkroom, Raw, bands_of_grid
 from nlights_core.photographs.flat_fields import FlatField
@@ -108,10 +107,8 @@ class _Solver(UsableLights):
         return robust_solution(images, lights, weights, self.shadow, self.condition)
 
 
-def solve_overview(
-    room: ReducedRoom, lights: LightField, flat_field: FlatField | None, passes: int, levels: bool
-) -> tuple[Array, Level]:
-    """Find the height, and what the photographs say of its constant and of the lamps.
+def solve_overview(room: ReducedRoom, lights: LightField, flat_field: FlatField | None, passes: int) -> Array:
+    """Find the height of mean 0.
 
     It is found robustly and by plain least squares whatever the recipe says, so that recipes which
     differ in solver or integrator share it.
@@ -124,15 +121,11 @@ def solve_overview(
         As for `nlights_core.solving.band_solving.solve_tile`.
     passes : int
         How often.
-    levels : bool
-        Whether the constant can be found; see `nlights_core.near_light.levelling`.
 
     Returns
     -------
-    height : (h, w) float32 array
-        NaN where not known.
-    level : Level
-        Of the last pass.
+    (h, w) float32 array
+        mm; NaN where not known.
 
     Raises
     ------
@@ -140,21 +133,16 @@ def solve_overview(
         When no normal could be found.
     """
     height: Array | None = None
-    found = Level(0.0, None, np.ones(len(lights.lamps)))
     for _ in range(passes):
-        lamps = lights.stronger(found.strengths)
-        normals = _normals(room, lamps, flat_field, height)
+        normals = _normals(room, lights, flat_field, height)
         if not np.isfinite(normals).any():
             raise TileError(
                 "overview: not a single block has three usable lights; see the mask, the saturation level and "
                 "the frames themselves"
             )
         height = least_squares_height(normals, room.grid, stencil="6-point", steepest_deg=STEEPEST_DEG)
-        if levels and flat_field is not None:
-            found = find_level(room, lights, flat_field, height, found.strengths)
-            height = height + np.float32(found.offset)
     assert height is not None
-    return height, found
+    return height
 
 
 def _normals(

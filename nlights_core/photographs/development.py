@@ -155,8 +155,8 @@ class Band:
 class Darkroom:
     """The open photographs of a tile: frames or flats, the dark frame and the mask.
 
-    Use `darkroom` to open one.  ``veil`` is light that frames have and the dark frame lacks, as a share of saturation:
-    it is subtracted.
+    Use `darkroom` to open one.  ``veil`` is light that frames have and the dark frame lacks, as a share of
+    saturation: it is subtracted.
     """
 
     grid: PixelGrid

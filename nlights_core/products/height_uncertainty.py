@@ -58,7 +58,7 @@ class Stretched:
     def __getitem__(self, rows: slice) -> Array:
         """Some rows, (n, W) float32."""
         down = self._down[rows, None]
-        return self._wide[self._above[rows]] * (1 - down) + self._wide[self._below[rows]] * down
+        return np.asarray(self._wide[self._above[rows]] * (1 - down) + self._wide[self._below[rows]] * down)
 
 
 def _between(length: int, parts: int) -> tuple[Array, Array, Array]:

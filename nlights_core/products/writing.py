@@ -163,7 +163,8 @@ def write_maps(
             folder / "height_uncertainty.tif",
             _height_uncertainty(maps, grid, shared[0], places),
             grid.shape,
-            description=f"Standard uncertainty of the height after the best constant, {grid.unit}; NaN where not known",
+            description=f"Standard uncertainty of the height after the best constant, {grid.unit}; NaN where not "
+            "known",
         )
     progress(1.0)
 

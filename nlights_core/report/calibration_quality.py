@@ -1,4 +1,4 @@
-"""Numbers of what all pixels of a tile share: level, lamps, gloss, light that is always there, and how well they fit."""
+"""Numbers of what all pixels of a tile share: level, lamps, gloss, stray light, and how well they fit."""
 
 from __future__ import annotations
 
@@ -79,8 +79,8 @@ def _light(known: Known | None) -> list[Number]:
             "Drift of the lamps since the flats",
             drift,
             "%",
-            "Strongest against weakest; it was corrected, and counts as 0 where there is no evidence of it. Above 2 %, "
-            "photograph the flats again.",
+            "Strongest against weakest; it was corrected, and counts as 0 where there is no evidence of it. Above "
+            "2 %, photograph the flats again.",
             warning=f"The lamps have changed by {drift:.1f} % since the flats were taken: photograph the flats again."
             if drift is not None and drift > MOST_DRIFT
             else "",
@@ -93,8 +93,8 @@ def _light(known: Known | None) -> list[Number]:
             "%",
             "Of the mean flat, in photographs and flats alike; it was taken out, and counts as 0 where there is no "
             "evidence of it.",
-            warning=f"Photographs and flats have {additive:.1f} % of light that the dark frame lacks: photograph the dark "
-            "frame with the room as it was, the lamps off; the measurement was corrected for it."
+            warning=f"Photographs and flats have {additive:.1f} % of light that the dark frame lacks: photograph the "
+            "dark frame with the room as it was, the lamps off; the measurement was corrected for it."
             if additive is not None and additive > LEAST_LIGHT
             else "",
             code="additive-light",
@@ -139,8 +139,8 @@ def _surface(known: Known | None) -> list[Number]:
             flat,
             "%",
             "As for the artwork; it was taken out.",
-            warning=f"The flat has highlights of {flat:.1f} %: it is not matt. They were taken out of its photographs; "
-            "a matt flat is surer."
+            warning=f"The flat has highlights of {flat:.1f} %: it is not matt. They were taken out of its "
+            "photographs; a matt flat is surer."
             if flat
             else "",
             code="flat-gloss",
@@ -151,8 +151,8 @@ def _surface(known: Known | None) -> list[Number]:
             residual,
             "%",
             "What the model misses in patches of the field, as a share of the albedo; sound captures have 0.02.",
-            warning=f"The photographs differ from the model by {residual:.2f} % in patches of the field: what the surface "
-            "or the light does is not in the model. The uncertainties include it; no level is stated."
+            warning=f"The photographs differ from the model by {residual:.2f} % in patches of the field: what the "
+            "surface or the light does is not in the model. The uncertainties include it; no level is stated."
             if residual is not None and residual > SOUND
             else "",
             code="model-misfit",
@@ -171,8 +171,9 @@ def _surface(known: Known | None) -> list[Number]:
             "%",
             "A raised point is lit along a ray that meets the flat's plane beside it; where that is outside the "
             "photographed flat, the sample is left out.",
-            warning=f"{missed:.1f} % of the lamps' rays meet the flat's plane outside its photographs, because the surface "
-            "lies above it; they were left out. Photograph the flats at the height of the artwork, or a larger flat."
+            warning=f"{missed:.1f} % of the lamps' rays meet the flat's plane outside its photographs, because the "
+            "surface lies above it; they were left out. Photograph the flats at the height of the artwork, or a "
+            "larger flat."
             if missed is not None and missed > MOST_MISSED
             else "",
             code="flat-reach",

@@ -7,7 +7,6 @@ from pathlib import Path
 from nlights_core.capture import Tile
 from nlights_core.files.arrays import write_array
 from nlights_core.machine.progress import Progress
-from nlights_core.near_light.levelling import write_level
 from nlights_core.near_light.overview import reduced_room
 from nlights_core.near_light.overview import solve_overview as find_overview
 from nlights_core.photographs.development import darkroom
@@ -23,7 +22,7 @@ RESTS_ON = ("integration", "near_light", "photographs", "solving")
 def overview(
     store: Store, tile: Tile, lights: ArtefactRef, flat_field: ArtefactRef | None, passes: int
 ) -> Work:
-    """Height for near light, from reduced photographs: ``height.npy`` and ``level.json``.
+    """Height for near light, from reduced photographs: ``height.npy``.
 
     See `nlights_core.near_light.overview`.
     """
@@ -38,10 +37,6 @@ def overview(
             noise = read_noise(store.path(flat_field)) if flat_field else None
             room.noise = noise or room.noise
             small = reduced_room(room, lambda share: progress(0.7 * share))
-            grid = room.grid
-        levels = noise is not None and field.near and grid.unit == "mm"
-        height, level = find_overview(small, field, divisor, passes, levels)
-        write_level(folder, level)
-        write_array(folder / "height.npy", height)
+        write_array(folder / "height.npy", find_overview(small, field, divisor, passes))
 
     return Work(ref, record, make)
