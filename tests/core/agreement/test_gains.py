@@ -41,7 +41,7 @@ def test_another_exposure_is_told_of_artworks_above_or_below_the_flats(sampled, 
     assert gain == pytest.approx(0.8, abs=0.03)
 
 
-@pytest.mark.parametrize("height", [-12.0, 10.0, 20.0, 30.0])
+@pytest.mark.parametrize("height", [-12.0, 5.0, 10.0])
 def test_height_alone_is_no_exposure(sampled, height):
     samples, tile = sampled
     assert gains_of(raised(samples, tile, height, None), tile) == []
@@ -70,7 +70,7 @@ def test_varnish_on_dark_paint_is_no_exposure(dark_and_glossy, scene):
     ("scene", "stand", "number"),
     [
         ("painting", "horizontal", 5),
-        ("painting", "vertical-dark", 2),
+        ("relief", "vertical-dark", 6),
         ("drawing", "horizontal", 1),
         ("plane", "horizontal", 8),
     ],
