@@ -73,7 +73,7 @@ class LoneGain(NamedTuple):
 
 @dataclass(frozen=True)
 class _Surface:
-    """What is known of some places, n of them, under L lamps: light relative to the flats and to its median.
+    """Places of an artwork, n of them, under L lamps: light relative to the flats and to its median.
 
     Attributes
     ----------
@@ -122,7 +122,7 @@ class _Surface:
 
     @cached_property
     def upright(self) -> Array:
-        """What the flat sees of the lamps, (L, n, 1)."""
+        """Share of the lamps that the flat sees, (L, n, 1)."""
         return self.raw_vectors(0.0)[..., 2:]
 
     def at(self, height: float) -> Array:
@@ -197,7 +197,7 @@ def gain_beside_surface(relative: RelativeLight) -> LoneGain | None:
 
 
 def _columns(surface: _Surface, height: float, gloss: Array, changes: Array) -> Array:
-    """What a place does not explain by itself: of each lamp's light, of gloss, and of the height; (n, L, K)."""
+    """Parts that a place does not explain by itself: of each lamp's light, of gloss, and of the height; (n, L, K)."""
     vectors = surface.at(height)
     free = unexplained(vectors, surface.weights.T)
     own = free * surface.light[:, None, :]
