@@ -15,7 +15,7 @@ from scipy.ndimage import minimum_filter, uniform_filter
 
 from nlights_core.agreement.samples import Samples
 from nlights_core.fields import LightField
-from nlights_core.frames import Array
+from nlights_core.frames import Array, PixelGrid
 
 FEWEST = 5
 """Lamps from which on a photograph that differs can be told: of four, each could be the one that is wrong."""
@@ -66,6 +66,10 @@ class RelativeLight:
         Edge of a patch, samples.
     with_flats : bool
         Whether the level of each lamp is known.
+    lights : LightField
+        Where these lamps, and perhaps others, are.
+    grid : PixelGrid
+        Where the samples are on the plane.
     """
 
     lamps: tuple[str, ...]
@@ -75,6 +79,8 @@ class RelativeLight:
     shaded: Array
     patch: int
     with_flats: bool
+    lights: LightField
+    grid: PixelGrid
 
     def of(self, kept: Sequence[int]) -> RelativeLight:
         """The same of some lamps, by their indices."""
@@ -135,6 +141,8 @@ def relate_samples(samples: Samples, lamps: Sequence[str], lights: LightField) -
         _shaded(light, vectors, patch),
         patch,
         samples.flats is not None,
+        lights,
+        samples.grid,
     )
 
 
