@@ -29,7 +29,7 @@ FOLLOWED = 0.2
 EXPLAINED = 0.85
 """Share of what free movements of all photographs would explain that a smaller set of them must."""
 
-MOSTLY = 0.6
+MOSTLY = 0.4
 """The same of a single photograph that is told: less may be the movement of another."""
 
 TILES = 12
@@ -55,7 +55,7 @@ SETTLED = 0.05
 """Change of a movement in samples below which a round was the last."""
 
 
-Known = dict[tuple[int, bytes], FineStructure]
+Known = dict[tuple[int, bytes], tuple[FineStructure, FineStructure]]
 
 
 @dataclass(frozen=True)
@@ -82,21 +82,21 @@ def _evidence(
     for details in levels:
         key = (details[0].scale, moves.tobytes())
         if key not in known:
-            known[key] = _of_size(details, around, moves)
-        parts.append(known[key])
+            found = fine_structure(details, around, moves)
+            known[key] = found, _per_pixel(found, details[0].scale)
+        parts.append(known[key][1])
     return join(parts)
 
 
-def _of_size(details: Sequence[Detail], around: Surroundings, moves: Array) -> FineStructure:
+def _per_pixel(one: FineStructure, scale: int) -> FineStructure:
     """Fine structure of one size, per pixel of movement and by what it knows; of no tile where all is noise."""
-    one = fine_structure(details, around, moves)
     left = one.left()
     if not (left > 0).any() or one.share() > NOISY:
         return one.part(np.zeros(0, np.intp))
     # Noise is in the finest details, and hardly in coarse ones: each counts by its own disagreement.
     weights = one.sizes / (left + np.median(left[left > 0]))
-    count = len(moves)
-    gradients = np.r_[np.ones(count), np.full(2 * count, 1 / details[0].scale)]
+    count = one.powers.shape[1]
+    gradients = np.r_[np.ones(count), np.full(2 * count, 1 / scale)]
     products = one.products * np.outer(gradients, gradients) * weights[:, None, None]
     return replace(one, products=_without_noise(products, count))
 
@@ -161,7 +161,8 @@ def find_moves(levels: Sequence[Sequence[Detail]], around: Surroundings) -> tupl
         )
         if all(brought > BETTER * left for brought, left in pairs):
             return Moves(still, False), fine_structure(levels[0], around, still)
-    return moves, fine_structure(levels[0], around, moves.pixels)
+    found = known.get((levels[0][0].scale, moves.pixels.tobytes()))
+    return moves, found[0] if found else fine_structure(levels[0], around, moves.pixels)
 
 
 def _follow(structure: FineStructure, moves: Array, least: float, last: bool) -> Moves:
