@@ -6,8 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nlights_core.agreement.gains import places, unexplained
+from nlights_core.agreement.coarse_light import known_medians
+from nlights_core.agreement.places import places, unexplained
 from nlights_core.agreement.relative_light import RelativeLight
+from nlights_core.capture_warnings import CaptureWarning
 from nlights_core.frames import Array
 
 LEAST = 0.005
@@ -29,6 +31,15 @@ PARTS = (4, 6)
 
 ROUNDS = 5
 """Rounds in which places that fit badly lose weight."""
+
+SHARES = np.geomspace(LEAST, 0.5, 60)
+"""Light that is tried where photographs are so dark that it bends them like a tone curve."""
+
+STRENGTHS = np.geomspace(0.02, 5, 50)
+"""The same of light that falls on the artwork, and that it reflects as it does that of the lamps."""
+
+MOST_LOST = 0.1
+"""Share of cells that may be darker than such light."""
 
 
 class Light(NamedTuple):
@@ -98,6 +109,64 @@ def find_light(relative: RelativeLight) -> Light | None:
     np.add.at(sums, parts, scores)
     errors = sums @ np.linalg.inv(matrix)[:, 0]
     return Light(float(found[0]), float(np.sqrt(errors @ errors)))
+
+
+def bending_light(frames: Array, flats: Array, power: float) -> float | None:
+    """Find light that explains better than a tone curve why photographs vary less than their flats.
+
+    A photograph that is half additive light varies as a curve would make it vary.  But when such light is taken
+    off, or added to the flats where the artwork reflects it, photographs vary as the flats do.
+
+    Parameters
+    ----------
+    frames, flats : (L, h, w) arrays
+        Logarithms.
+    power : float
+        Of the tone curve.
+
+    Returns
+    -------
+    float or None
+        As a share of the flats' median; None where the curve explains more.
+    """
+    light, unit = np.exp(frames), float(np.nanmedian(np.exp(flats)))
+    rests = [
+        _differing(np.where(light > share * unit, light - share * unit, np.nan), flats) for share in SHARES
+    ]
+    room = [_differing(light, np.log(np.exp(flats) + strength * unit)) for strength in STRENGTHS]
+    curved = min(_differing(light, one * flats) for one in np.linspace(0.8, 1.2, 9) * power)
+    if min(rests) < min(curved, *room):
+        return float(SHARES[np.argmin(rests)])
+    if min(room) < curved:
+        added = STRENGTHS[np.argmin(room)] * unit
+        return float(np.nanmedian(light * added / (np.exp(flats) + added)) / unit)
+    return None
+
+
+def _differing(light: Array, logarithm: Array) -> float:
+    """Median by which light differs from a logarithm, but for what is the same at a place or under a lamp."""
+    known = np.isfinite(light) & (light > 0)
+    if known.sum() < (1 - MOST_LOST) * np.isfinite(logarithm).sum():
+        return float("inf")
+    apart = np.log(np.where(known, light, np.nan)) - logarithm
+    apart = apart - known_medians(np.moveaxis(apart, 0, -1))
+    flat = apart.reshape(len(apart), -1)
+    flat = np.abs(flat - known_medians(flat)[:, None])
+    return float(known_medians(flat.reshape(-1)))
+
+
+def warning_of_light(share: float, error: float | None = None) -> CaptureWarning:
+    """The warning of light that the flats have not, a share of their median, with its standard error if known."""
+    within = "" if error is None else f" (+- {100 * error:.1f})"
+    return CaptureWarning(
+        "additive-light",
+        f"the photographs of the artwork hold light that its lamps did not give: {100 * share:.1f} %{within} of the "
+        "flats' median, which neither the flats nor the dark frame account for; darken the room (for the flats too), "
+        "see that the dark frame is of the same exposure, and photograph again",
+        (),
+        round(100 * share, 2),
+        "%",
+    )
 
 
 def _products(left: Array, right: Array) -> Array:

@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from scipy.ndimage import uniform_filter
 
-from nlights_core.agreement.relative_light import RelativeLight, enlarge, lamp_vectors
+from nlights_core.agreement.relative_light import DUST, RelativeLight, enlarge, lamp_vectors
 from nlights_core.agreement.samples import Samples
 from nlights_core.capture import Tile
 from nlights_core.fields import LightField
@@ -223,7 +224,9 @@ def _related(detail: Detail, around: Surroundings) -> Detail:
     columns = detail.left + (np.arange(width) + 0.5) * detail.scale - 0.5
     images = detail.images
     if samples.dark is not None:
-        images = images - enlarge(samples.dark[None], samples.block, rows, columns)
+        # So would the dark frame's noise be.
+        dark = uniform_filter(samples.dark, DUST, mode="nearest")
+        images = images - enlarge(dark[None], samples.block, rows, columns)
     divisors = relative.divisors
     if divisors.shape[1:] != (1, 1):
         # Dust on the flat would be a texture that lies still in all photographs.

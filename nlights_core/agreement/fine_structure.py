@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 
 import numpy as np
 from scipy.ndimage import shift, uniform_filter
 
 from nlights_core.agreement.details import Detail, Surroundings
+from nlights_core.agreement.gains import unexplained
 from nlights_core.agreement.relative_light import FEWEST
 from nlights_core.frames import Array
 from nlights_core.machine.band_threads import in_order
@@ -21,8 +22,9 @@ that the model of the lamps does not explain is broader."""
 BRIGHTEST = np.float32(1.5)
 """Light above this, relative to the mean of the lamps, is cut off: it is a highlight, which moves by itself."""
 
-EDGE = 32
-"""Edge of a tile, samples: over it a lamp's direction hardly changes."""
+EDGE, LEAST_EDGE = 32, 8
+"""Edge of a tile, px, and at least so many samples: over it a lamp's direction hardly changes, and where shadows
+are cast, small tiles between them are left."""
 
 TINY = 1e-30
 """What keeps a share of nothing from dividing by zero."""
@@ -47,12 +49,15 @@ class FineStructure:
         What takes off the explained part; 0 for lamps that a tile leaves out.
     places : (T, 2) float array
         Row and column of each tile's middle, px.
+    sizes : (T,) float array
+        Samples of each tile.
     """
 
     products: Array
     powers: Array
     freedom: Array
     places: Array
+    sizes: Array
 
     @cached_property
     def quarters(self) -> Array:
@@ -66,7 +71,7 @@ class FineStructure:
 
     def part(self, some: Array) -> FineStructure:
         """Some of the tiles, by a mask (T,)."""
-        return FineStructure(self.products[some], self.powers[some], self.freedom[some], self.places[some])
+        return FineStructure(*(getattr(self, one.name)[some] for one in fields(self)))
 
     def share(self) -> float:
         """Unexplained share of the fine structure, over all tiles."""
@@ -101,10 +106,17 @@ def fine_structure(details: Sequence[Detail], around: Surroundings, moves: Array
     FineStructure
     """
     parts = [_of_detail(detail, around, moves) for detail in details]
-    return FineStructure(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
+    return join(parts)
 
 
-def _of_detail(detail: Detail, around: Surroundings, moves: Array) -> tuple[Array, Array, Array, Array]:
+def join(parts: Sequence[FineStructure]) -> FineStructure:
+    """The tiles of several fine structures of the same photographs."""
+    return FineStructure(
+        *(np.concatenate([getattr(part, one.name) for part in parts]) for one in fields(FineStructure))
+    )
+
+
+def _of_detail(detail: Detail, around: Surroundings, moves: Array) -> FineStructure:
     count, height, width = detail.images.shape
     pixels = moves / detail.scale
     margin = int(np.ceil(np.abs(pixels).max()))
@@ -128,8 +140,10 @@ def _of_detail(detail: Detail, around: Surroundings, moves: Array) -> tuple[Arra
     rows, columns = height - 2 * border, width - 2 * border
     if min(rows, columns) < 4:
         empty = np.zeros((0, 3 * count, 3 * count))
-        return empty, empty[:, :count, :count], empty[:, :count, :count], np.zeros((0, 2))
-    edge = EDGE if min(rows, columns) >= 3 * EDGE else max(4, min(rows, columns) // 3)
+        powers = empty[:, :count, :count]
+        return FineStructure(empty, powers, powers, np.zeros((0, 2)), np.zeros(0))
+    edge = max(EDGE // detail.scale, LEAST_EDGE)
+    edge = edge if min(rows, columns) >= 3 * edge else max(4, min(rows, columns) // 3)
     down, across = rows // edge, columns // edge
     high, wide = rows // down, columns // across
 
@@ -159,10 +173,11 @@ def _of_detail(detail: Detail, around: Surroundings, moves: Array) -> tuple[Arra
     grams[:, count:] *= 0.5  # central differences are over two samples
     grams[:, :, count:] *= 0.5
     vectors = around.vectors(y[some], x[some])
-    freedom = np.array([_freedom(vectors[:, k], included[t]) for k, t in enumerate(some)])
-    freedom = freedom.reshape(-1, count, count)
+    freedom = unexplained(vectors.astype(float), included[some].T.astype(float))
     places = np.stack([y[some], x[some]], axis=1)
-    return grams * np.tile(freedom, (1, 3, 3)), grams[:, :count, :count], freedom, places
+    sizes = np.full(len(tiles), float(high * wide)) if known is None else usable.sum(axis=1).astype(float)
+    products = grams * np.tile(freedom, (1, 3, 3))
+    return FineStructure(products, grams[:, :count, :count], freedom, places, sizes[some])
 
 
 def _filled(images: Array) -> tuple[Array, Array | None]:
@@ -173,11 +188,3 @@ def _filled(images: Array) -> tuple[Array, Array | None]:
     there = np.where(known, images, np.float32(0))
     mean = there.sum(axis=0) / np.maximum(known.sum(axis=0), 1)
     return np.where(known, images, mean), known
-
-
-def _freedom(vectors: Array, included: Array) -> Array:
-    """Projection of the lamps' light on what three numbers a place do not explain, (L, L)."""
-    found = np.zeros((len(vectors), len(vectors)))
-    basis, _ = np.linalg.qr(vectors[included].astype(float))
-    found[np.ix_(included, included)] = np.eye(len(basis)) - basis @ basis.T
-    return found

@@ -7,15 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from nlights_core.agreement.explanations import Misfit
-from nlights_core.agreement.relative_light import FEWEST, RelativeLight, left_out
+from nlights_core.agreement.places import places, unexplained
+from nlights_core.agreement.relative_light import RelativeLight, left_out
+from nlights_core.agreement.unknown_surfaces import gain_beside_surface
 from nlights_core.frames import Array
-
-PLACES = 6000
-"""Samples looked at, spread over the artwork: a gain is one number."""
 
 LEAST = 0.08
 """Deviation of a gain from 1 that is told.  Lamps drift by 1 %; of sound captures one whose gloss or height
-the model does not know reads up to 0.13, but `EXPLAINED` holds it."""
+the model does not know reads up to 0.13 and, by its height and gloss fitted beside it, 0.07."""
 
 EXPLAINED = 0.6
 """What one photograph's gain may leave of the disagreement.  Sound captures leave 0.64 and more, those with
@@ -80,23 +79,36 @@ def find_gains(relative: RelativeLight) -> list[Gain]:
             break
         (rest, before, changes), following = ranked[0], ranked[1][0]
         gains = 1 / (1 + changes[list(before), 0])
+        if size == 1 and np.abs(gains - 1).max() >= LEAST:
+            best = _of_one(relative, weights)
         if np.abs(gains - 1).min() < LEAST or (size != 1 and rest > SIMPLER * least):
             continue
         # Whatever else was said so far, this explains it much better.
-        clear = _same_everywhere(before, gains, light, vectors, weights)
+        levelled = light.copy()
+        levelled[list(before)] /= gains[:, None]
+        clear = _same_everywhere(before, gains, levelled, vectors, weights)
         clear &= rest < (EXPLAINED if size == 1 else ALIKE) * misfit.level and following > CLEARER * rest
         lamps = [before] if together else [(lamp,) for lamp in before]
-        best = [Gain(some, float(gains[k])) for k, some in enumerate(lamps)] if clear else []
+        if clear and not (size == 1 and best):
+            best = [Gain(some, float(gains[k])) for k, some in enumerate(lamps)]
         least = rest if clear or size == 1 else least
     return best
 
 
+def _of_one(relative: RelativeLight, weights: Array) -> list[Gain]:
+    """The one photograph whose gain explains more than any other's beside the artwork's height and gloss."""
+    found = gain_beside_surface(relative)
+    if found is None or abs(found.gain - 1) < LEAST:
+        return []
+    lamp, gain, light, vectors = found
+    alike = _same_everywhere((lamp,), np.array([gain]), light, vectors, weights)
+    return [Gain((lamp,), gain)] if alike else []
+
+
 def _same_everywhere(
-    lamps: tuple[int, ...], gains: Array, light: Array, vectors: Array, weights: Array
+    lamps: tuple[int, ...], gains: Array, levelled: Array, vectors: Array, weights: Array
 ) -> bool:
-    """Test whether each lamp's light is its prediction times its gain in most places."""
-    levelled = light.copy()
-    levelled[list(lamps)] /= gains[:, None]
+    """Test whether each lamp's light, its gain taken out, is as predicted in most places."""
     predicted, _, freedom = left_out(levelled, vectors, weights)
     for lamp, gain in zip(lamps, gains, strict=True):
         known = (weights[lamp] > 0) & (freedom[lamp] > 0.02) & (predicted[lamp] > 0)
@@ -104,41 +116,6 @@ def _same_everywhere(
         if not apart.size or np.median(apart) > min(SPREAD * abs(gain - 1), MOST) + NOISE:
             return False
     return True
-
-
-def places(relative: RelativeLight) -> tuple[Array, Array, Array, Array, Array]:
-    """Choose samples that enough lamps light.
-
-    Parameters
-    ----------
-    relative : RelativeLight
-
-    Returns
-    -------
-    y, x : (n,) int arrays
-        Which samples.
-    light : (L, n) float32 array
-        0 where not known.
-    vectors : (L, n, 3) float32 array
-    weights : (L, n) float32 array
-        0 where not known or in shadow, else 1.
-    """
-    lit = ~np.repeat(np.repeat(relative.shaded, relative.patch, axis=1), relative.patch, axis=2)
-    _, rows, columns = relative.light.shape
-    usable = np.isfinite(relative.light) & lit[:, :rows, :columns]
-    y, x = np.nonzero(usable.sum(axis=0) >= FEWEST)
-    # A stride that is no divisor of the width spreads them in both directions.
-    step = max(1, len(y) // PLACES)
-    y, x = y[::step], x[::step]
-    weights = usable[:, y, x].astype(np.float32)
-    light = np.where(weights > 0, relative.light[:, y, x], np.float32(0))
-    return y, x, light, relative.vectors[:, y, x], weights
-
-
-def unexplained(vectors: Array, weights: Array) -> Array:
-    """Projection of light on what three numbers a place do not explain, (n, L, L); 0 for lamps of weight 0."""
-    basis, _ = np.linalg.qr((vectors * weights[..., None]).swapaxes(0, 1))
-    return np.asarray(weights.T[:, :, None] * np.eye(len(weights)) - basis @ basis.swapaxes(1, 2))
 
 
 def _misfit(light: Array, vectors: Array, weights: Array) -> Misfit:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from nlights_core.agreement.details import Detail, Surroundings
 from nlights_core.agreement.explanations import Misfit
-from nlights_core.agreement.fine_structure import FineStructure, fine_structure
+from nlights_core.agreement.fine_structure import FineStructure, fine_structure, join
 from nlights_core.frames import Array
 
 LEAST = 0.35
@@ -29,6 +29,9 @@ FOLLOWED = 0.2
 EXPLAINED = 0.85
 """Share of what free movements of all photographs would explain that a smaller set of them must."""
 
+MOSTLY = 0.4
+"""The same of a single photograph that is told: less may be the movement of another."""
+
 TILES = 12
 """Tiles that must show something: fewer do not say whether a photograph moved or a highlight did."""
 
@@ -42,8 +45,17 @@ BETTER = 0.98
 """What bringing the photographs back must leave of the disagreement, at most.  It is mostly noise where the
 artwork has hardly any texture."""
 
+NOISY = 0.6
+"""Unexplained share of details from which on they are noise and gloss, and say nothing that coarser ones do not."""
+
+SHARED = 0.25
+"""Share of its gradients that the others are taken to explain at least: a step is lengthened four times at most."""
+
 SETTLED = 0.05
 """Change of a movement in samples below which a round was the last."""
+
+
+Known = dict[tuple[int, bytes], tuple[FineStructure, FineStructure]]
 
 
 @dataclass(frozen=True)
@@ -62,8 +74,50 @@ class Moves:
     together: bool
 
 
-def _misfit(products: Array, moves: Array) -> Misfit:
-    """Misfit by total movements, of products (3L, 3L) after ``moves`` (samples) were taken back."""
+def _evidence(
+    levels: Sequence[Sequence[Detail]], around: Surroundings, moves: Array, known: Known
+) -> FineStructure:
+    """Fine structure of details of several sizes, per pixel of movement, each by what it knows of the movement."""
+    parts = []
+    for details in levels:
+        key = (details[0].scale, moves.tobytes())
+        if key not in known:
+            found = fine_structure(details, around, moves)
+            known[key] = found, _per_pixel(found, details[0].scale)
+        parts.append(known[key][1])
+    return join(parts)
+
+
+def _per_pixel(one: FineStructure, scale: int) -> FineStructure:
+    """Fine structure of one size, per pixel of movement and by what it knows; of no tile where all is noise."""
+    left = one.left()
+    if not (left > 0).any() or one.share() > NOISY:
+        return one.part(np.zeros(0, np.intp))
+    # Noise is in the finest details, and hardly in coarse ones: each counts by its own disagreement.
+    weights = one.sizes / (left + np.median(left[left > 0]))
+    count = one.powers.shape[1]
+    gradients = np.r_[np.ones(count), np.full(2 * count, 1 / scale)]
+    products = one.products * np.outer(gradients, gradients) * weights[:, None, None]
+    return replace(one, products=_without_noise(products, count))
+
+
+def _without_noise(products: Array, count: int) -> Array:
+    """Products without that part of the gradients that the others do not share: it would shorten every step."""
+    own = np.zeros_like(products)
+    lamps = np.arange(count)
+    for a, b in ((1, 1), (1, 2), (2, 1), (2, 2)):
+        block = products[:, a * count : (a + 1) * count, b * count : (b + 1) * count]
+        own[:, a * count + lamps, b * count + lamps] = (block.sum(axis=1) + block.sum(axis=2)) / 2
+    matrix, noise = products[:, count:, count:].sum(axis=0), own[:, count:, count:].sum(axis=0)
+    values, axes = np.linalg.eigh(matrix)
+    back = axes[:, values > 1e-9 * values[-1]] / np.sqrt(values[values > 1e-9 * values[-1]])
+    most = float(np.linalg.eigvalsh(back.T @ noise @ back)[-1])
+    return np.asarray(products - min(1, (1 - SHARED) / max(most, 1e-9)) * own)
+
+
+def _misfit(structure: FineStructure, moves: Array) -> Misfit:
+    """Misfit by total movements, px, after ``moves`` were taken back."""
+    products = structure.products.sum(axis=0)
     count = len(moves)
     ones, done = np.ones(count), moves.T.ravel()
     matrix, vector = products[count:, count:], products[count:, :count] @ ones
@@ -87,64 +141,59 @@ def find_moves(levels: Sequence[Sequence[Detail]], around: Surroundings) -> tupl
         The finest, brought back.
     """
     moves = Moves(np.zeros((len(around.relative.lamps), 2)), False)
-    for level, details in reversed(list(enumerate(levels))):
-        scale = details[0].scale
+    known: Known = {}
+    for level in reversed(range(len(levels))):
+        scale = levels[level][0].scale
         least = FOLLOWED * scale if level else LEAST
-        step = np.zeros_like(moves.pixels)
         for _ in range(ROUNDS):
-            structure = fine_structure(details, around, moves.pixels)
+            structure = _evidence(levels[level:], around, moves.pixels, known)
             before = moves.pixels
             if np.count_nonzero(structure.left() > 0) < (FEW_TILES if level else TILES):
                 moves = Moves(np.zeros_like(before), False)
                 break
-            moves = _follow(structure, before, scale, least, level == 0)
-            step, last = moves.pixels - before, step
-            if np.abs(step).max() < SETTLED * scale:
+            moves = _follow(structure, before, least, level == 0)
+            if np.abs(moves.pixels - before).max() < SETTLED * scale:
                 break
-            # Noise in the gradients makes every step too short by the same share: go where they lead.
-            share = float(np.sum(step * last)) / max(float(np.sum(last * last)), 1e-9)
-            if 0 < share < 0.9:
-                moves = Moves(moves.pixels + step * share / (1 - share), moves.together)
+    still = np.zeros_like(moves.pixels)
     if moves.pixels.any():
-        still = np.zeros_like(moves.pixels)
         pairs = (
             [fine_structure(one, around, way).share() for way in (moves.pixels, still)] for one in levels[:3]
         )
         if all(brought > BETTER * left for brought, left in pairs):
             return Moves(still, False), fine_structure(levels[0], around, still)
-    return moves, structure
+    found = known.get((levels[0][0].scale, moves.pixels.tobytes()))
+    return moves, found[0] if found else fine_structure(levels[0], around, moves.pixels)
 
 
-def _follow(structure: FineStructure, moves: Array, scale: int, least: float, last: bool) -> Moves:
+def _follow(structure: FineStructure, moves: Array, least: float, last: bool) -> Moves:
     """Better movements, as far as they are certain and not below ``least`` px."""
-    nothing = Moves(np.zeros_like(moves), False)
-    left = structure.left()
-    weights = 1 / (left + np.median(left[left > 0]))
-    misfit = _misfit((structure.products * weights[:, None, None]).sum(axis=0), moves / scale)
+    misfit = _misfit(structure, moves)
     count = len(moves)
     most = misfit.level - misfit.least(range(count))[0]
-    best, enough = nothing, False
+    best, enough = Moves(np.zeros_like(moves), False), False
     before: tuple[int, ...] = ()
     for size, together in misfit.kinds():
         ranked = misfit.ranked(size, together, before)
         if not ranked:
             break
         rest, lamps, pixels = ranked[0]
-        sizes = np.hypot(*pixels[list(lamps)].T) * scale
+        sizes = np.hypot(*pixels[list(lamps)].T)
         sure = sizes.min() > least and _certain(
-            structure, weights, misfit, moves / scale, lamps, together, pixels, 3 if last else 2
+            structure, misfit, moves, lamps, together, pixels, 3 if last else 2
         )
         if enough and not sure:
             break
-        if sure and not (enough and together):
-            best, before = Moves(pixels * scale, together), lamps
-        enough = enough or misfit.level - rest > EXPLAINED * most
+        explained = (misfit.level - rest) / max(most, 1e-9)
+        # A movement of several must explain what there is: gloss lets some of many sets seem to move alike.
+        least_share = EXPLAINED if size != 1 else MOSTLY if last else 0
+        if sure and explained > least_share and not (enough and together):
+            best, before = Moves(pixels, together), lamps
+        enough = enough or explained > EXPLAINED
     return best
 
 
 def _certain(
     structure: FineStructure,
-    weights: Array,
     misfit: Misfit,
     done: Array,
     lamps: Sequence[int],
@@ -157,7 +206,7 @@ def _certain(
     step = (found - done).T.ravel()
     combination = np.r_[np.ones(count), step]
     chosen = np.r_[list(lamps), [count + i for i in lamps]]
-    scores = (structure.products @ combination)[:, count:] * weights[:, None]
+    scores = (structure.products @ combination)[:, count:]
     matrix = misfit.matrix[np.ix_(chosen, chosen)]
     spread = np.repeat(np.eye(2), len(lamps), axis=0) if together else np.eye(len(chosen))
     inverse = spread @ np.linalg.pinv(spread.T @ matrix @ spread) @ spread.T
@@ -170,7 +219,7 @@ def _certain(
         apart = []
         for quarter in range(4):
             inside = structure.quarters == quarter
-            own = (structure.products[inside] * weights[inside, None, None]).sum(axis=0)
+            own = structure.products[inside].sum(axis=0)
             pair = [count + lamp, 2 * count + lamp]
             # With all else as found, what movement this quarter alone would want beside.
             wanted = np.linalg.lstsq(own[np.ix_(pair, pair)], own[pair] @ combination, rcond=1e-3)[0]

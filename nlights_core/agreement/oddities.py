@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from nlights_core.agreement.gains import places, unexplained
+from nlights_core.agreement.places import places, unexplained
 from nlights_core.agreement.relative_light import FEWEST, RelativeLight
 from nlights_core.frames import Array
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nlights_core.agreement.additive_light import Light, find_light
+from nlights_core.agreement.additive_light import find_light, warning_of_light
 from nlights_core.agreement.details import LEAST, LEVELS, Detail, Surroundings, read_details
 from nlights_core.agreement.fine_structure import fine_structure
 from nlights_core.agreement.gains import Gain, find_gains
@@ -75,7 +75,7 @@ def compare_with_predictions(
     rest = [i for i in everyone if odd is None or i != odd[0]]
     light = find_light(relative.of(rest)) if relative.with_flats and len(rest) >= FEWEST else None
     if light is not None and light.certain:
-        found.append(_of_light(light))
+        found.append(warning_of_light(light.share, light.error))
     progress(0.6)
     details, around = read_details(tile, samples, relative, lights, scratch)
     progress(0.8)
@@ -150,20 +150,6 @@ def _of_gains(gains: Sequence[Gain], relative: RelativeLight, tile: Tile) -> lis
             )
         )
     return found
-
-
-def _of_light(light: Light) -> CaptureWarning:
-    """The warning of light that the flats have not."""
-    share = 100 * light.share
-    return CaptureWarning(
-        "additive-light",
-        f"the photographs of the artwork hold light that its lamps did not give: {share:.1f} % (+- "
-        f"{100 * light.error:.1f}) of the flats' median, which neither the flats nor the dark frame account for; "
-        "darken the room (for the flats too), see that the dark frame is of the same exposure, and photograph again",
-        (),
-        round(share, 2),
-        "%",
-    )
 
 
 def _of_moves(moves: Moves, relative: RelativeLight, tile: Tile) -> list[CaptureWarning]:

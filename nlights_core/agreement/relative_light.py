@@ -15,7 +15,7 @@ from scipy.ndimage import minimum_filter, uniform_filter
 
 from nlights_core.agreement.samples import Samples
 from nlights_core.fields import LightField
-from nlights_core.frames import Array
+from nlights_core.frames import Array, PixelGrid
 
 FEWEST = 5
 """Lamps from which on a photograph that differs can be told: of four, each could be the one that is wrong."""
@@ -42,6 +42,9 @@ ROUNDS = 20
 DUST = 15
 """Samples over which flats are averaged, so that nothing of their dust is left."""
 
+SPECK = np.float32(0.01)
+"""Deviation of a flat from the mean around it that is no speck of dust."""
+
 DIM = 1e-4
 """Share of saturation below which a flat, or the brightest lamp at a place, says nothing."""
 
@@ -66,6 +69,10 @@ class RelativeLight:
         Edge of a patch, samples.
     with_flats : bool
         Whether the level of each lamp is known.
+    lights : LightField
+        Where these lamps, and perhaps others, are.
+    grid : PixelGrid
+        Where the samples are on the plane.
     """
 
     lamps: tuple[str, ...]
@@ -75,6 +82,8 @@ class RelativeLight:
     shaded: Array
     patch: int
     with_flats: bool
+    lights: LightField
+    grid: PixelGrid
 
     def of(self, kept: Sequence[int]) -> RelativeLight:
         """The same of some lamps, by their indices."""
@@ -93,10 +102,16 @@ class RelativeLight:
         """The divisors without noise and dust, (L, h, w) or (L, 1, 1) float32."""
         if self.divisors.shape[1:] == (1, 1):
             return self.divisors
-        known = np.isfinite(self.divisors).astype(np.float32)
-        total = uniform_filter(np.nan_to_num(self.divisors), (1, DUST, DUST), mode="nearest")
-        share = uniform_filter(known, (1, DUST, DUST), mode="nearest")
-        return np.where(share > 0.01, total / np.maximum(share, np.float32(0.01)), np.float32(np.nan))
+        known = np.isfinite(self.divisors)
+        share = uniform_filter(known.astype(np.float32), (1, DUST, DUST), mode="nearest")
+        smooth = self.divisors
+        for limit in (np.inf, SPECK, np.inf):
+            # A speck is cut off before the mean is taken that counts; its box would have edges in all photographs.
+            if limit < np.inf:
+                smooth = np.clip(self.divisors, smooth * (1 - limit), smooth * (1 + limit))
+            total = uniform_filter(np.where(known, smooth, np.float32(0)), (1, DUST, DUST), mode="nearest")
+            smooth = np.where(share > 0.01, total / np.maximum(share, np.float32(0.01)), np.float32(np.nan))
+        return smooth
 
 
 def relate_samples(samples: Samples, lamps: Sequence[str], lights: LightField) -> RelativeLight:
@@ -135,6 +150,8 @@ def relate_samples(samples: Samples, lamps: Sequence[str], lights: LightField) -
         _shaded(light, vectors, patch),
         patch,
         samples.flats is not None,
+        lights,
+        samples.grid,
     )
 
 

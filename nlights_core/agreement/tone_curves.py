@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from nlights_core.agreement.additive_light import bending_light, warning_of_light
 from nlights_core.agreement.coarse_light import LEAST_CELLS, CoarseLight, centred, known_medians
 from nlights_core.agreement.samples import Samples
 from nlights_core.agreement.wording import listed
@@ -63,7 +64,7 @@ def find_tone_curve(samples: Samples, cells: CoarseLight, tile: Tile) -> list[Ca
     Returns
     -------
     list of CaptureWarning
-        Of one at most.
+        Of one at most; of light in the photographs alone where that explains more than a curve.
     """
     linear = (
         "in artwork.yaml, state encoding.transfer: linear, for a curve seems to be undone that is not there"
@@ -92,6 +93,9 @@ def find_tone_curve(samples: Samples, cells: CoarseLight, tile: Tile) -> list[Ca
     slope, deviation = slope_on_flats(cells.frames, cells.flats)
     if not _beyond(slope, deviation, SLOPES_OF_FRAMES):
         return []
+    light = bending_light(cells.frames, cells.flats, slope) if slope < 1 else None
+    if light is not None:
+        return [warning_of_light(light)]
     return [
         CaptureWarning(
             "tone-curve",

@@ -43,6 +43,44 @@ def test_a_photograph_moved_by_two_pixels_is_told(photographs, scene, number, ac
     assert warning.sentence.startswith(f"light_{number}.tif (lamp Relio_{number}): moved by")
 
 
+def grain(seed, across, up, darker=1.0):
+    """Noise of a dim photograph, after its content moved."""
+    random = np.random.default_rng(seed)
+
+    def spoil(light):
+        light = moved(across, up)(light * darker)
+        return light + np.sqrt(np.maximum(light, 1)) * 4 * random.standard_normal(light.shape)
+
+    return spoil
+
+
+@pytest.mark.parametrize(("number", "across", "up"), [(8, -2.5, 0.5), (3, 0, 2), (5, 1.5, -1.5)])
+@pytest.mark.parametrize(("varnish", "darker"), [(False, 0.1), (True, 1.0)])
+def test_a_relief_that_noise_or_gloss_hides_is_followed_in_coarser_details(
+    photographs, number, across, up, varnish, darker
+):
+    capture = photographs("relief", varnish=varnish)
+    for n in range(1, 9):
+        still = n != number
+        capture.change_frames(grain(n, 0 if still else across, 0 if still else up, darker), n)
+    (warning,) = capture.said()
+    assert_told(warning, across, up, (f"Relio_{number}",))
+
+
+def test_dust_on_the_flats_leaves_no_texture_that_lies_still(photographs):
+    random = np.random.default_rng(1)
+    capture = photographs("relief")
+    dust = np.where(random.uniform(size=(180, 240)) > 0.99, 0.6, 1)
+    for n in range(1, 9):
+        capture.change(
+            f"flat/light_{n}.tif", lambda light: light * dust[: len(light), : light.shape[1], None]
+        )
+    assert capture.said() == []
+    capture.change_frames(moved(-2, 0.5), 4)
+    (warning,) = capture.said()
+    assert_told(warning, -2, 0.5, ("Relio_4",))
+
+
 @pytest.mark.parametrize(("across", "up"), [(1, 0), (-7, 3), (12, 5)])
 def test_small_and_large_movements_are_told(photographs, across, up):
     capture = photographs("painting", "vertical-dark", varnish=True)

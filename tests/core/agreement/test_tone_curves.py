@@ -1,8 +1,11 @@
 """Numbers that follow a tone curve that nobody stated."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
+from nlights_core.agreement.comparisons import compare_photographs
 from nlights_core.agreement.tone_curves import readings_of_flats, slope_on_computed_light
 
 
@@ -41,6 +44,41 @@ def test_a_curve_in_the_photographs_of_the_artwork_alone(sampled, found, curve):
     samples = sampled[0]
     frames = curve(samples.frames + samples.dark) - curve(samples.dark)
     assert found(frames=frames.astype(np.float32)) == [("tone-curve", ())]
+
+
+@pytest.mark.parametrize(("albedo", "share"), [(0.1, 0.03), (0.07, 0.02), (0.15, 0.06), (0.2, 0.1)])
+def test_light_that_is_half_of_a_dark_photograph_is_no_curve(sampled, albedo, share):
+    samples, tile = sampled
+    unit = np.median(samples.flats)
+    frames = (albedo * samples.frames + share * unit).astype(np.float32)
+    spoilt = dataclasses.replace(samples, frames=frames)
+    (warning,) = compare_photographs(spoilt, tile, None).warnings
+    assert (warning.code, warning.lamps) == ("additive-light", ())
+    assert warning.value == pytest.approx(100 * share, rel=0.2)
+
+
+def test_room_as_bright_as_the_lamps_is_no_curve(sampled):
+    samples, tile = sampled
+    unit = np.median(samples.flats)
+    frames = (samples.frames * (1 + 0.8 * unit / samples.flats)).astype(np.float32)
+    (warning,) = compare_photographs(dataclasses.replace(samples, frames=frames), tile, None).warnings
+    assert (warning.code, warning.lamps) == ("additive-light", ())
+
+
+@pytest.mark.parametrize("albedo", [0.1, 0.2, 0.4])
+@pytest.mark.parametrize("curve", [gamma(1.8), gamma(2.2)])
+def test_a_curve_in_photographs_of_dark_paint_stays_one(sampled, found, curve, albedo):
+    frames = curve(albedo * sampled[0].frames)
+    assert found(frames=frames.astype(np.float32)) == [("tone-curve", ())]
+
+
+@pytest.mark.parametrize("curve", [srgb, gamma(2.2), lightness])
+def test_a_curve_in_every_file_of_a_dark_artwork(capture, spoil, compared, curve):
+    for path in capture.glob("light_*.tif"):
+        spoil(path, lambda numbers: 256 + 0.1 * (numbers - 256))
+    for path in [*capture.glob("*.tif"), *capture.glob("flat/*.tif")]:
+        spoil(path, curved(curve))
+    assert [warning.code for warning in compared(capture).warnings] == ["tone-curve"]
 
 
 def test_a_curve_that_was_undone_but_is_not_there(capture, spoil, compared):

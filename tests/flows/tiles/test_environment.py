@@ -24,10 +24,12 @@ NLIGHTS = Path(sys.executable).parent / "nlights"
 def served():
     """Start servers that answer every question with a code and a text; gives their addresses."""
     running = []
+    asked = []
 
     def serve(code: int, text: bytes) -> str:
         class Answers(BaseHTTPRequestHandler):
             def do_GET(self):
+                asked.append(self.path)
                 self.send_response(code)
                 self.send_header("Content-Length", str(len(text)))
                 self.end_headers()
@@ -41,6 +43,7 @@ def served():
         running.append(server)
         return f"http://127.0.0.1:{server.server_port}/api"
 
+    serve.asked = asked
     yield serve
     for server in running:
         server.shutdown()
@@ -115,6 +118,7 @@ def test_an_address_that_leads_nowhere_is_told(address):
 @pytest.mark.parametrize(("code", "text"), [(200, b"true"), (401, b""), (404, b"")])
 def test_a_server_that_is_there_is_for_prefect_to_talk_to(served, code, text):
     environment.require_api(served(code, text))
+    assert served.asked == ["/api/health"]
 
 
 HOLD = "import sys, time; from nlights_flows.tiles.environment import alone; from pathlib import Path\n"
