@@ -68,7 +68,7 @@ STEEPEST_DEG = 70.0
 
 @dataclass(frozen=True)
 class Calibration:
-    """What all pixels of a tile share, and how well it is known.
+    """Values that all pixels of a tile share, and how well they are known.
 
     Attributes
     ----------

@@ -238,7 +238,7 @@ def _noise(grid: PixelGrid, pixels: Pixels, variances: Array, usable: Array) -> 
 
 
 def _bends(grid: PixelGrid, pixels: Pixels, tilts: Array, usable: Array) -> tuple[Array, Array]:
-    """What a unit of each unknown does to the integrated height: on blocks (M, h, w), and at the pixels (N, M)."""
+    """Bends of the integrated height by a unit of each unknown: on blocks (M, h, w), and at the pixels (N, M)."""
     from scipy.ndimage import map_coordinates
 
     coarse = coarse_grid(grid)

@@ -27,7 +27,7 @@ MODEL = 0.015
 
 @dataclass(frozen=True)
 class Known:
-    """What is known of a tile as a whole.
+    """Knowledge of a tile as a whole.
 
     Attributes
     ----------

@@ -37,7 +37,7 @@ WHITE = 0.9
 
 @dataclass(frozen=True)
 class Reflectance:
-    """What a tile's surface does with light beyond what matt paint does.
+    """Behaviour of a tile's surface in light, beyond that of matt paint.
 
     Attributes
     ----------
@@ -121,7 +121,7 @@ def cross_term(normals: Array, lights: Array, views: Array) -> Array:
 
 
 def excess(reflectance: Reflectance, normals: Array, lights: Array, views: Array) -> tuple[Array, Array]:
-    """What samples read beyond matt paint: white gloss, and what is added to the albedo's share.
+    """Light that samples read beyond matt paint: white gloss, and what is added to the albedo's share.
 
     Parameters
     ----------

@@ -52,7 +52,7 @@ class Group(NamedTuple):
 
 @dataclass(frozen=True)
 class Shared:
-    """What all pixels of a tile share.
+    """Values that all pixels of a tile share.
 
     Attributes
     ----------
@@ -81,7 +81,7 @@ class Shared:
 
     @property
     def reflectance(self) -> Reflectance:
-        """What of it is the surface's."""
+        """The part that is the surface's."""
         return Reflectance(self.gloss, self.departure)
 
     def vector(self) -> Array:
@@ -97,7 +97,7 @@ class Shared:
         )
 
     def moved(self, to: Array) -> Shared:
-        """What a vector says, approached by steps that are not too long."""
+        """Approach what a vector says, by steps that are not too long."""
         found = from_vector(to, len(self.strengths))
         level = self.level + np.clip(found.level - self.level, -LARGEST_LEVEL, LARGEST_LEVEL)
         change = np.clip(found.strengths - self.strengths, -LARGEST_STRENGTH, LARGEST_STRENGTH)

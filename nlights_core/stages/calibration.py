@@ -24,7 +24,7 @@ RESTS_ON = ("calibration", "integration", "near_light", "photographs", "solving"
 def calibration(
     store: Store, tile: Tile, lights: ArtefactRef, flat_field: ArtefactRef, groups: tuple[str, ...]
 ) -> Work:
-    """What all pixels share, ``calibration.json``; a coarse height and its uncertainty.
+    """Values that all pixels share, ``calibration.json``; a coarse height and its uncertainty.
 
     See `nlights_core.calibration`.  ``groups`` are what may be believed of the photographs, beside the level.
     """
