@@ -38,6 +38,7 @@ WHAT = {
     "height.tif": "height towards the camera, float32",
     "confidence.tif": "standard uncertainty of each normal, degrees, float32",
     "trend.tif": "what detrending removed from the height, float32",
+    "known_heights.csv": "the heights that somebody measured, and the differences before and after, mm",
     "mesh.ply": "mesh with a vertex per pixel",
     "mesh.glb": "decimated mesh with the albedo as its texture, metres",
     "report.html": "pictures and numbers",

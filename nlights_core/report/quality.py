@@ -257,6 +257,42 @@ def measure(
     ]
 
 
+def of_known_heights(found: tuple[Array, Array] | None, source: str) -> list[Number]:
+    """Numbers of the heights that somebody measured, from their differences before and after; none without any."""
+    if found is None:
+        return []
+    before, after = (off[np.isfinite(off)] for off in found)
+
+    def typical(off: Array) -> float | None:
+        return 1.4826 * float(np.median(np.abs(off))) if off.size else None
+
+    return [
+        Number(
+            "Known heights",
+            "Points within the field",
+            float(before.size),
+            "points",
+            f"The height is tied to these points of {source}, of {len(found[0])}: its slow bends are theirs as "
+            "far as they are surer. known_heights.csv lists them.",
+        ),
+        Number(
+            "Known heights",
+            "Difference of the photographed height, typical",
+            typical(before),
+            "mm",
+            "How far the photographed height was from them after the best constant: 1.48 times the median, which is "
+            "the standard deviation where nothing is odd.",
+        ),
+        Number(
+            "Known heights",
+            "Difference of the tied height, typical",
+            typical(after),
+            "mm",
+            "The same of the height as it leaves the system.",
+        ),
+    ]
+
+
 MOST_DRIFT = 2.0
 """Percent by which lamps may have changed since the flats without a warning."""
 

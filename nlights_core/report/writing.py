@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
@@ -16,6 +17,7 @@ from nlights_core.fields import LightField
 from nlights_core.files import tiffs
 from nlights_core.files.arrays import read_array
 from nlights_core.frames import Array, PixelGrid
+from nlights_core.integration.known_heights import DIFFERENCES, read_differences
 from nlights_core.lamps.emission import read_stand_check
 from nlights_core.near_light.levelling import read_level
 from nlights_core.near_light.position_uncertainty import position_uncertainty
@@ -86,6 +88,11 @@ def write_report(
         numbers = _numbers(maps, grid, tile, made, said, white, inside)
         if height.stage == "level":
             numbers += quality.of_level(read_level(store.path(height)))
+        if "trend" in made:
+            source = tile.known_heights.file.name if tile.known_heights else ""
+            numbers += quality.of_known_heights(read_differences(made["trend"]), source)
+            if (made["trend"] / DIFFERENCES).is_file():
+                shutil.copyfile(made["trend"] / DIFFERENCES, folder / DIFFERENCES)
         numbers = quality.grouped(numbers)
         places = [store.root / place for place in records if place != agreement.folder]
         others = [warning for place in places for warning in read_warnings(place)]

@@ -89,6 +89,13 @@ def test_a_stand_given_on_the_command_line_replaces_the_manifests(tmp_path):
         ("frames:\n" + EIGHT + "flats: {Relio_1: a, Relio_2: b, Relio_3: c}\n", ["lacks Relio_4"]),
         ("frames:\n" + EIGHT + "white_reflectance: 1.5\n", ["white_reflectance", "at most 1", "1.5"]),
         ("frames:\n" + EIGHT + "tiles: [{name: a, origin_mm: [.nan, 0]}]\n", ["origin_mm"]),
+        ("frames:\n" + EIGHT + "known_heights: {file: scan.ply}\n", ["known_heights", "sigma_mm is missing"]),
+        ("frames:\n" + EIGHT + "known_heights: {file: ../probe.csv}\n", ["outside the capture root"]),
+        ("frames:\n" + EIGHT + "known_heights: {file: a.csv, sigma_mm: 0}\n", ["sigma_mm", "more than 0"]),
+        (
+            "frames:\n" + EIGHT + "known_heights: {file: a.csv, tilt: 1}\n",
+            ["known_heights.tilt", "unknown field"],
+        ),
         ("{}\n", ["frames: is missing"]),
     ],
 )

@@ -17,6 +17,7 @@ from nlights_core.capture import Encoding, Tile
 from nlights_core.capture_warnings import CaptureWarning, read_warnings
 from nlights_core.errors import NlightsError, TileError
 from nlights_core.fields import LightField
+from nlights_core.integration.known_heights import read_known_heights
 from nlights_core.photographs.development import Darkroom, Exposure, bands_of_grid, darkroom
 from nlights_core.photographs.headers import grid_of, survey
 from nlights_core.photographs.images import Photograph, probe
@@ -124,6 +125,8 @@ def check_tile(tile: Tile, recipe: Recipe, progress: Callable[[float], None]) ->
                     progress(0.9 * (i + part) / (1 + flats))
 
                 _read(tile, which, store, finding, share)
+        if tile.known_heights and recipe.needs("known_heights"):
+            _answered(finding, store, partial(read_known_heights, tile.known_heights))
         made = {} if lacking else _ask_chain(tile, recipe, store, finding, MADE if fit else ("lights",))
         _warn(tile, fit, flats, store, made, finding)
         progress(1.0)
