@@ -116,6 +116,9 @@ class Tile(Record):
     flats: dict[str, Path] | None = Field(default=None, description="photographs of a flat, per lamp")
     dark: Path | None = None
     mask: Path | None = Field(default=None, description="image that is white on the artwork")
+    auto_mask: bool = Field(
+        default=False, description="whether the mask is found in the photographs; a path in the store then"
+    )
     spheres: tuple[Sphere, ...] = ()
     lights: GivenLights | None = None
     known_heights: HeightFile | None = None

@@ -24,6 +24,9 @@ PlainText = Annotated[str, AfterValidator(composed)]
 TEXTS = (("artwork", "id"), ("artwork", "title"), ("tiles", None, "name"))
 """Fields that are the text that was written: ``0012`` is no number."""
 
+AUTO = "auto"
+"""Instead of a mask's name: found in the photographs."""
+
 PLAIN_NAME = re.compile(r"[^\W_](?:[\w .,()+-]*[\w)])?")
 
 
@@ -180,7 +183,9 @@ class _Reader:
             own = getattr(entry, field)
             return ((*at, field), own) if own is not None else ((field,), getattr(whole, field))
 
-        dark, mask = (self._optional(*either(field), entry.name) for field in ("dark", "mask"))
+        dark = self._optional(*either("dark"), entry.name)
+        auto_mask = either("mask")[1] == AUTO
+        mask = None if auto_mask else self._optional(*either("mask"), entry.name)
         others = {path for path in (dark, mask) if path}
         frames = self._frames(*either("frames"), entry.name, others)
         flats_at, flats_given = either("flats")
@@ -206,6 +211,7 @@ class _Reader:
             flats={lamp: flats[lamp] for lamp in frames} if flats else None,
             dark=dark,
             mask=mask,
+            auto_mask=auto_mask,
             spheres=tuple(spheres),
             lights=lights,
             known_heights=heights,

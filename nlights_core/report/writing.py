@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import shutil
 from collections.abc import Mapping, Sequence
@@ -11,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from nlights_core import __version__
+from nlights_core.agreement.borders import PICTURE, read_proposal
 from nlights_core.capture import Tile
 from nlights_core.capture_warnings import CaptureWarning, read_warnings, write_warnings
 from nlights_core.fields import LightField
@@ -62,6 +64,7 @@ def write_report(
     inside = Mask(tile.mask).pixels if tile.mask else None
     white = white_reflectance(store, normals)
     files = [*made["maps"].iterdir(), *made["mesh"].iterdir()]
+    border = tile.mask.parent if tile.auto_mask and tile.mask else made["agreement"]
     said = {
         "artwork": tile.artwork,
         "title": tile.title,
@@ -74,6 +77,7 @@ def write_report(
         "lamps": list(tile.lamps),
         "lights": json.loads((made["lights"] / "lights.json").read_text()),
         "mesh": json.loads((made["mesh"] / "mesh.json").read_text()),
+        "border": _border(border, tile.auto_mask),
         "version": __version__,
         "key": record["key"],
         "files": [
@@ -113,6 +117,19 @@ def write_report(
     }
     _write_json(folder / "quality.json", [asdict(number) for number in numbers])
     _write_json(folder / "provenance.json", provenance)
+
+
+def _border(folder: Path, used: bool) -> dict[str, str] | None:
+    """Words and picture of what is, or may be, no part of the artwork; None where nothing was found."""
+    sentence = read_proposal(folder)
+    if not sentence:
+        return None
+    if used:
+        sentence = (
+            "What is red is no part of the artwork as far as the photographs tell: left out (mask: auto)."
+        )
+    image = base64.b64encode((folder / PICTURE).read_bytes()).decode()
+    return {"sentence": sentence, "image": f"data:image/png;base64,{image}"}
 
 
 def _numbers(

@@ -16,7 +16,7 @@ from nlights_core.near_light.levelling import Level, read_level, write_level
 from nlights_core.photographs.development import bands_of_grid, darkroom
 from nlights_core.photographs.flat_fields import read_flat_field
 from nlights_core.photographs.noise import read_noise
-from nlights_core.stages.inputs import facts_of_photographs, read_lights
+from nlights_core.stages.inputs import facts_of_photographs, read_lights, with_mask
 from nlights_core.store import ArtefactRef, Store, Work, describe
 
 RESTS_ON = ("integration", "near_light", "photographs", "solving")
@@ -36,6 +36,7 @@ def level(
     See `nlights_core.near_light.levelling`.  For distant lamps there is nothing to find.  The ``overview`` knows
     with which strengths of the lamps the height was measured.
     """
+    tile = with_mask(store, tile)
     facts = facts_of_photographs(store, tile, "frames")
     inputs = {"lights": lights, "flat_field": flat_field, "height": height, "overview": overview}
     ref, record = describe("level", tile.artwork, tile.name, rests_on=RESTS_ON, inputs=inputs, facts=facts)

@@ -1,11 +1,13 @@
 """The chain of stages, once, in reading order."""
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from nlights_core import stages
 from nlights_core.capture import Tile
 from nlights_core.recipe import Recipe
+from nlights_core.stages.mask import FILE as MASK
 from nlights_core.store import ArtefactRef
 
 Call = Callable[..., ArtefactRef]
@@ -38,20 +40,24 @@ def digitise_tile(
     lights = call(stages.lights, tile, recipe.light_model)
     flat_field = call(stages.flat_field, tile, detrend.images, lights) if detrend.images else None
     flats = any("flats" in algorithm.needs for algorithm in recipe.algorithms())
-    agreement = call(stages.agreement, tile, lights, flats)
+    seen = tile
+    if tile.auto_mask:
+        found = call(stages.mask, tile, flats)
+        seen = tile.model_copy(update={"mask": Path(found.folder) / MASK})
+    agreement = call(stages.agreement, seen, lights, flats)
     bias = overview = trend = None
     if detrend.normals:
         bias = call(stages.bias, tile, detrend.normals, recipe.normals, lights, flat_field)
     if recipe.passes > 1:
-        overview = call(stages.overview, tile, lights, flat_field, recipe.passes - 1)
+        overview = call(stages.overview, seen, lights, flat_field, recipe.passes - 1)
     # Only a photographed flat knows what white is.
     white = detrend.images is not None and "flats" in detrend.images.needs
-    normals = call(stages.normals, tile, recipe.normals, lights, flat_field, bias, overview, white)
+    normals = call(stages.normals, seen, recipe.normals, lights, flat_field, bias, overview, white)
     height = integrated = call(stages.height, tile, recipe.integrator, normals)
     if detrend.height:
         height = trend = call(stages.trend, tile, detrend.height, height)
     if _levels(recipe):
-        height = call(stages.level, tile, lights, flat_field, height, overview)
+        height = call(stages.level, seen, lights, flat_field, height, overview)
 
     perspective = recipe.integrable and getattr(recipe.integrator, "perspective", False)
     surface = integrated if recipe.integrable else None
@@ -60,7 +66,7 @@ def digitise_tile(
     record = recipe_record(recipe)
     report = call(
         stages.report,
-        tile,
+        seen,
         record,
         lights,
         flat_field,
@@ -80,11 +86,11 @@ def recipe_record(recipe: Recipe) -> dict[str, Any]:
     return {"name": recipe.name, **recipe.record()}
 
 
-def steps(recipe: Recipe) -> int:
+def steps(recipe: Recipe, auto_mask: bool = False) -> int:
     """Number of stages that the chain calls for a tile, for a progress bar."""
     detrend = recipe.detrend
     optional = (detrend.images, detrend.normals, detrend.height)
-    return 7 + sum(part is not None for part in optional) + (recipe.passes > 1) + _levels(recipe)
+    return 7 + auto_mask + sum(part is not None for part in optional) + (recipe.passes > 1) + _levels(recipe)
 
 
 def _levels(recipe: Recipe) -> bool:
