@@ -105,6 +105,19 @@ def test_a_fault_is_told_with_field_found_and_allowed(tmp_path, text, words):
         assert word in said, said
 
 
+def test_a_mask_may_be_left_to_the_photographs_by_all_tiles_or_by_one(tmp_path):
+    text = "artwork: {id: inv-1}\nstand: horizontal\nframes:\n" + EIGHT
+    (tile,) = load_capture(write(tmp_path, text + "mask: auto\n"))
+    assert (tile.auto_mask, tile.mask) == (True, None)
+    tiles = load_capture(
+        write(tmp_path, text + "mask: auto\ntiles: [{name: a}, {name: b, mask: mine.png}]\n")
+    )
+    assert [(tile.auto_mask, tile.mask and tile.mask.name) for tile in tiles] == [
+        (True, None),
+        (False, "mine.png"),
+    ]
+
+
 def test_every_fault_is_told_at_once(tmp_path):
     said = refused(
         tmp_path,
