@@ -101,9 +101,10 @@ def keys(capture, tmp_path, monkeypatch):
     def found() -> dict[str, str]:
         sources._digest_of_place.cache_clear()
         registry.code_digest.cache_clear()
-        for name in ("default", "paper"):
-            steps = planning.plan(tile, load_recipe(name), Store(tmp_path / "store"))
-            own.update({f"{name} {step.ref.stage}": step.ref.key for step in steps})
+        unmasked = tile.model_copy(update={"auto_mask": True})
+        for which, name, one in (("", "default", tile), ("", "paper", tile), ("auto-", "default", unmasked)):
+            steps = planning.plan(one, load_recipe(name), Store(tmp_path / "store"))
+            own.update({f"{which}{name} {step.ref.stage}": step.ref.key for step in steps})
         return dict(own)
 
     yield copy, found
