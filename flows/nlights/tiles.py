@@ -95,6 +95,12 @@ class TileResult:
         return self._map("reflection", "")
 
     @cached_property
+    def height_uncertainty(self) -> Map | None:
+        """Standard uncertainty of the height after the best constant, (H, W) float32, in its unit; None: not known."""
+        present = (self.folder / "height_uncertainty.tif").is_file()
+        return self._map("height_uncertainty", self.grid.unit) if present else None
+
+    @cached_property
     def confidence(self) -> Map:
         """Standard uncertainty of each normal, (H, W) float32, degrees: 68 % are off by no more."""
         return self._map("confidence", "°")

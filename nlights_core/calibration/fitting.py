@@ -74,7 +74,7 @@ class Calibration:
     ----------
     shared : Shared
     believed : tuple of str
-        Groups of which there is evidence.
+        Groups of which there is evidence, and "level" where it was sought.
     covariance : (M, M) float64 array
         Of the unknowns; 0 where not fitted.
     equations : Equations
@@ -112,7 +112,7 @@ def calibrate(
     lights, flat_field : LightField, FlatField
         Near lamps, and what a flat reads.
     chosen : tuple of str
-        Groups that may be believed, beside the level.
+        Groups that may be believed; without "level" the surface is taken to lie in the plane of the flat.
     progress : callable
         Told the share done.
 
@@ -124,25 +124,27 @@ def calibrate(
     raw = room.raw(0, room.grid.rows, lights)
     count = len(lights.lamps)
     kinds = [group for group in groups(count) if group.name in chosen]
+    always = (0,) if "level" in chosen else ()
     state = _State(nothing(count), np.zeros(room.grid.shape, np.float32))
     for number in range(ROUNDS):
         _follow(state, room, raw, lights, flat_field)
         assert state.equations is not None
-        found = _step(state.equations, state.shared, kinds, every=number < WITHOUT_CHOICE)
+        found = _step(state.equations, state.shared, kinds, number < WITHOUT_CHOICE, always)
         state.shared = state.shared.moved(found.values)
         progress((number + 1) / (ROUNDS + 1))
     assert state.equations is not None
     covariance = _covariance(state.equations, state.shared, found) + _doubt(state, found, kinds)
+    believed = (*(name for name in chosen if name == "level"), *found.believed)
     if smooth_residual(state.equations) > LOST:
         # What is believed of photographs that the model does not fit would be wrong: nothing is taken out of them.
         state = _State(nothing(count), np.zeros(room.grid.shape, np.float32))
         _follow(state, room, raw, lights, flat_field)
-        found, covariance = found._replace(believed=()), np.zeros_like(covariance)
+        believed, covariance = (), np.zeros_like(covariance)
     _follow(state, room, raw, lights, flat_field, equations=False)
     assert state.equations is not None
     apart = _with_strange(state, room, raw, lights, flat_field) - state.height
     return Calibration(
-        state.shared, found.believed, covariance, state.equations, state.height, state.strange, apart
+        state.shared, believed, covariance, state.equations, state.height, state.strange, apart
     )
 
 
@@ -183,10 +185,12 @@ def _follow(
     state.spread = state.equations.scale
 
 
-def _step(equations: Equations, shared: Shared, kinds: list[Group], *, every: bool) -> evidence.Found:
+def _step(
+    equations: Equations, shared: Shared, kinds: list[Group], every: bool, always: tuple[int, ...]
+) -> evidence.Found:
     precisions, centres = prior(shared)
     right = equations.right + equations.matrix @ shared.vector()
-    return evidence.choose(equations.matrix, right, precisions, centres, kinds, every)
+    return evidence.choose(equations.matrix, right, precisions, centres, kinds, every, always)
 
 
 def _covariance(equations: Equations, shared: Shared, found: evidence.Found) -> Array:
@@ -196,7 +200,7 @@ def _covariance(equations: Equations, shared: Shared, found: evidence.Found) -> 
     wrong everywhere does not scatter.
     """
     precisions, _ = prior(shared)
-    places = np.array(found.free)
+    places = np.array(found.free, np.intp)
     block = np.ix_(places, places)
     inverse = np.linalg.inv(equations.matrix[block] + np.diag(precisions[places]))
     scattered = inverse @ (equations.scatter[block] + np.diag(precisions[places])) @ inverse
@@ -220,7 +224,13 @@ def _doubt(state: _State, found: evidence.Found, kinds: list[Group]) -> Array:
         return out
     kept = {group.name: group for group in kinds if group.name in found.believed}
     kept["gloss"] = Group("gloss", tails, True)
-    other = _step(state.equations, state.shared, list(kept.values()), every=True)
+    other = _step(
+        state.equations,
+        state.shared,
+        list(kept.values()),
+        True,
+        found.free[:1] if found.free[:1] == (0,) else (),
+    )
     apart = UNLIKE * (other.values - found.values)
     return np.asarray(np.outer(apart, apart))
 
