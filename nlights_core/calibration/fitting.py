@@ -17,7 +17,7 @@ from nlights_core.calibration.sampling import (
     flat_field_of,
     view_directions,
 )
-from nlights_core.calibration.unknowns import Group, Shared, groups, nothing, prior
+from nlights_core.calibration.unknowns import Shared, groups, nothing, prior
 from nlights_core.errors import TileError
 from nlights_core.fields import LightField
 from nlights_core.frames import Array
@@ -97,7 +97,7 @@ def calibrate(
     lights, flat_field : LightField, FlatField
         Near lamps, and what a flat reads.
     chosen : tuple of str
-        Groups that may be believed, beside the level.
+        Groups that may be believed; and "level", which always is where it is sought.
     progress : callable
         Told the share done.
 
@@ -109,6 +109,7 @@ def calibrate(
     raw = room.raw(0, room.grid.rows, lights)
     count = len(lights.lamps)
     kinds = [group for group in groups(count) if group.name in chosen]
+    always = (0,) if "level" in chosen else ()
     shared, z = nothing(count), np.zeros(room.grid.shape, np.float32)
     scaled: Array | None = None
     spread = 0.0
@@ -126,17 +127,15 @@ def calibrate(
         place = (pixels.rows, pixels.columns)
         equations = linearise(room, pixels, lights, flat, z[place], scaled[place], shared)
         spread = equations.scale
-        found = _step(equations, shared, kinds, every=round_number < WITHOUT_CHOICE)
+        precisions, centres = prior(shared)
+        right = equations.right + equations.matrix @ shared.vector()
+        found = evidence.choose(
+            equations.matrix, right, precisions, centres, kinds, round_number < WITHOUT_CHOICE, always
+        )
         shared = shared.moved(found.values)
     return Calibration(
         shared, found.free, found.believed, _covariance(equations, shared, found), equations, z, strange
     )
-
-
-def _step(equations: Equations, shared: Shared, kinds: list[Group], *, every: bool) -> evidence.Found:
-    precisions, centres = prior(shared)
-    right = equations.right + equations.matrix @ shared.vector()
-    return evidence.choose(equations.matrix, right, precisions, centres, kinds, every)
 
 
 def _covariance(equations: Equations, shared: Shared, found: evidence.Found) -> Array:
@@ -146,7 +145,7 @@ def _covariance(equations: Equations, shared: Shared, found: evidence.Found) -> 
     wrong everywhere does not scatter.
     """
     precisions, _ = prior(shared)
-    places = np.array(found.free)
+    places = np.array(found.free, np.intp)
     block = np.ix_(places, places)
     inverse = np.linalg.inv(equations.matrix[block] + np.diag(precisions[places]))
     scattered = inverse @ (equations.scatter[block] + np.diag(precisions[places])) @ inverse

@@ -60,10 +60,11 @@ def write_calibration(folder: Path, found: Calibration, errors: SmoothErrors, mi
     ``missed`` is the share of the samples whose ray misses the photographed flat.
     """
     wide = float(np.hypot(np.sqrt(found.covariance[0, 0]), MODEL * found.shared.level))
+    measured = 0 in found.free and wide <= LARGEST and errors.residual <= MISFIT
     record = {
         "lamps": len(found.shared.strengths),
         "values": found.shared.vector().tolist(),
-        "level_uncertainty_mm": wide if wide <= LARGEST and errors.residual <= MISFIT else None,
+        "level_uncertainty_mm": wide if measured else None,
         "believed": list(found.believed),
         "residual": errors.residual,
         "strange": float(found.strange.mean()),

@@ -26,7 +26,8 @@ def calibration(
 ) -> Work:
     """What all pixels share, ``calibration.json``; a coarse height and its uncertainty.
 
-    See `nlights_core.calibration`.  ``groups`` are what may be believed of the photographs, beside the level.
+    See `nlights_core.calibration`.  ``groups`` are what may be believed of the photographs, and "level" where that is
+    sought.
     """
     facts = facts_of_photographs(store, tile, "frames") | {"groups": list(groups)}
     inputs = {"lights": lights, "flat_field": flat_field}
