@@ -4,10 +4,10 @@ import tracemalloc
 
 import numpy as np
 import pytest
+from nlights_core.near_light.levelling import Level
 
 from nlights_core.files import reduction
 from nlights_core.frames import PixelGrid
-from nlights_core.near_light.levelling import Level
 from nlights_core.report import map_statistics
 from nlights_core.report.agreement_quality import of_agreement
 from nlights_core.report.figures import Number, figure_of
