@@ -14,11 +14,8 @@ from nlights_core.calibration.unknowns import Shared, from_vector
 from nlights_core.files.arrays import write_array
 from nlights_core.frames import Array
 
-SOUND = 0.0005
-"""Smoothed residual, as a share of the albedo, above which the model does not fit."""
-
 MISFIT = 0.001
-"""Smoothed residual above which no level is stated."""
+"""Smoothed residual, as a share of the albedo, above which no level is stated."""
 
 LARGEST = 0.3
 """Uncertainty of a level above which it counts as not measured, mm."""

@@ -152,7 +152,8 @@ def _surface(known: Known | None) -> list[Number]:
             "%",
             "What the model misses in patches of the field, as a share of the albedo; sound captures have 0.02.",
             warning=f"The photographs differ from the model by {residual:.2f} % in patches of the field: what the "
-            "surface or the light does is not in the model. The uncertainties include it; no level is stated."
+            "surface or the light does is not in the model. The uncertainties include it; above 0.1 % no level is "
+            "stated."
             if residual is not None and residual > SOUND
             else "",
             code="model-misfit",
