@@ -1,6 +1,6 @@
 """Small simulated captures with one trouble each, their calibration and their products."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -250,6 +250,8 @@ def varnished(simulated, calibrated) -> tuple[Capture, Scene3]:
 
 
 @pytest.fixture
-def without_calibration() -> Iterator[Recipe]:
+def without_calibration() -> Recipe:
     """The default recipe with `calibration: none`, near light in two passes."""
-    yield load_recipe({**load_recipe("default").record(), "calibration": "none", "passes": 2, "name": "none"})
+    return load_recipe(
+        {**load_recipe("default").record(), "calibration": "none", "passes": 2, "name": "none"}
+    )

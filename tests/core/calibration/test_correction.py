@@ -45,7 +45,7 @@ def glossy_band(reflectance):
     points = GRID.points(rows.start, rows.stop)
     lights = LIGHTS.vectors(points)
     lights = (lights / lights[..., 2].mean(axis=0)[None, ..., None]).astype(np.float32)
-    normals = np.moveaxis(RNG.normal(0, 0.05, (3, 12, 80)), 0, -1) + [0, 0, 1]
+    normals = RNG.normal([0, 0, 1], 0.05, (12, 80, 3))
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
     albedo = RNG.uniform(0.2, 0.9, (12, 80, 3))
     colours = np.array([0.3, 0.5, 0.2])
