@@ -96,8 +96,8 @@ class TileResult:
 
     @cached_property
     def height_uncertainty(self) -> Map | None:
-        """Standard uncertainty of the height after the best constant, (H, W) float32, in its unit; None: not known."""
-        present = (self.folder / "height_uncertainty.tif").is_file()
+        """Standard uncertainty of the height, (H, W) float32, in its unit; None: not measured."""
+        present = self._path("height_uncertainty.tif").is_file()
         return self._map("height_uncertainty", self.grid.unit) if present else None
 
     @cached_property
