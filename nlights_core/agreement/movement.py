@@ -63,9 +63,12 @@ FINAL = 0.02
 SURE = 0.15
 """Standard error up to which a size of details, or a quarter, says where a photograph lies, px."""
 
+FAINT = 10
+"""The same as a multiple of the best one's: what knows a hundred times less has no say in the movement."""
+
 AGREED = 0.3
 """By how much these may disagree about a movement whose amount is told, px.  Where gloss cannot be taken out they
-reach 0.5 to 0.9, and the whole is then wrong by up to 0.6; else 0.02 to 0.3, and it is wrong by up to 0.25."""
+reach 0.3 to 0.9, and the whole is then wrong by up to 0.8; else it is wrong by up to 0.25."""
 
 MATT = 0.6
 """What is left unexplained without gloss, as a share of what is left with it, from which on it is taken out.
@@ -187,7 +190,7 @@ def find_moves(levels: Sequence[Sequence[Detail]], around: Surroundings) -> tupl
 
 def _refine(levels: Sequence[Sequence[Detail]], around: Surroundings, moves: Moves) -> Moves:
     """The same movements, measured without gloss where that can be told, and by how much parts disagree on them."""
-    lamps = np.flatnonzero(moves.pixels.any(axis=1))
+    lamps = np.flatnonzero(moves.pixels.any(axis=1)).tolist()
     pixels = moves.pixels
     for _ in range(ROUNDS):
         parts = _clearest(levels, around, pixels)
@@ -197,7 +200,7 @@ def _refine(levels: Sequence[Sequence[Detail]], around: Surroundings, moves: Mov
         pixels = pixels + _misfit(structure, np.zeros_like(pixels)).least(lamps, moves.together)[1]
         if np.abs(pixels - before).max() < FINAL:
             break
-    measured = tuple(int(lamp) for lamp in lamps if _agree(parts, structure, int(lamp)))
+    measured = tuple(lamp for lamp in lamps if _agree(parts, structure, lamp))
     return Moves(np.where(np.hypot(*pixels.T)[:, None] > LEAST, pixels, 0.0), moves.together, measured)
 
 
@@ -218,9 +221,14 @@ def _clearest(levels: Sequence[Sequence[Detail]], around: Surroundings, moves: A
 def _agree(sizes: Sequence[FineStructure], whole: FineStructure, lamp: int) -> bool:
     """Test whether details of all sizes, and the quarters, would leave a lamp's photograph where the whole put it."""
     quarters = [whole.part(whole.quarters == quarter) for quarter in range(4)]
-    wanted = [_wanted(one, lamp) for one in [*sizes, *quarters] if len(one.sizes)]
-    sure = [place for place, error in wanted if error < SURE]
-    return bool(sure) and all(np.hypot(*(a - b)) < AGREED for a, b in combinations([*sure, np.zeros(2)], 2))
+    levels = [_wanted(one, lamp) for one in sizes if len(one.sizes)]
+    limit = min(SURE, FAINT * min((error for _, error in levels), default=0.0))
+    sure = [place for place, error in levels if error < limit]
+    apart = [a - b for a, b in combinations([*sure, np.zeros(2)], 2)]
+    apart += [
+        place for place, error in (_wanted(one, lamp) for one in quarters if len(one.sizes)) if error < limit
+    ]
+    return bool(sure) and all(np.hypot(*one) < AGREED for one in apart)
 
 
 def _wanted(structure: FineStructure, lamp: int) -> tuple[Array, float]:
