@@ -34,7 +34,7 @@ class Detrends(Record):
 
 
 class Sought(Record):
-    """What is sought in a tile's own photographs and holds for all its pixels; see docs/calibration.md."""
+    """Unknowns that are sought in a tile's own photographs and hold for all its pixels; see docs/calibration.md."""
 
     level: bool = Field(default=True, description="the height of the surface above the plane of the flat")
     lamps: bool = Field(default=True, description="the strength of each lamp since the flats were taken")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import combinations
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -65,8 +65,13 @@ def choose(
     -------
     Found
     """
-    sizes = [len(groups)] if every else range(len(groups) + 1)
-    trials = [some for size in sizes for some in combinations(groups, size)]
+    alternatives: dict[str, list[Group | None]] = {}
+    for group in groups:
+        alternatives.setdefault(group.name, [] if every else [None]).append(group)
+    if every:
+        # Of alternatives the last has them all.
+        alternatives = {name: some[-1:] for name, some in alternatives.items()}
+    trials = [[group for group in some if group] for some in product(*alternatives.values())]
     return max(
         (_fit(matrix, right, precisions, centres, some, always) for some in trials),
         key=lambda found: found.evidence,

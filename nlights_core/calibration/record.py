@@ -14,8 +14,9 @@ from nlights_core.calibration.unknowns import Shared, from_vector
 from nlights_core.files.arrays import write_array
 from nlights_core.frames import Array
 
-MISFIT = 0.001
-"""Smoothed residual, as a share of the albedo, above which no level is stated."""
+MISFIT, OF_NOISE = 0.001, 3.0
+"""Smoothed residual, as a share of the albedo and of what noise alone leaves, above which the model does not fit and
+no level is stated.  Sound captures leave 0.0003 to 0.0007."""
 
 LARGEST = 0.3
 """Uncertainty of a level above which it counts as not measured, mm."""
@@ -26,7 +27,7 @@ MODEL = 0.015
 
 @dataclass(frozen=True)
 class Known:
-    """What is known of a tile as a whole.
+    """Knowledge of a tile as a whole.
 
     Attributes
     ----------
@@ -37,6 +38,8 @@ class Known:
         Groups of which there is evidence.
     residual : float
         Smoothed residual, as a share of the albedo.
+    misfit : bool
+        Whether it is too large: the model does not fit.
     strange : float
         Share of the pixels that are of another material than most.
     unreached : float
@@ -47,6 +50,7 @@ class Known:
     level_uncertainty: float | None
     believed: tuple[str, ...]
     residual: float
+    misfit: bool
     strange: float
     unreached: float
 
@@ -56,12 +60,15 @@ def write_calibration(folder: Path, found: Calibration, errors: SmoothErrors, mi
 
     ``missed`` is the share of the samples whose ray misses the photographed flat.
     """
+    misfit = errors.residual > max(MISFIT, OF_NOISE * errors.noise)
     wide = float(np.hypot(np.sqrt(found.covariance[0, 0]), MODEL * found.shared.level))
-    measured = 0 in found.free and wide <= LARGEST and errors.residual <= MISFIT
+    # A level that was not sought has no variance.
+    measured = found.covariance[0, 0] > 0 and wide <= LARGEST and not misfit
     record = {
         "lamps": len(found.shared.strengths),
         "values": found.shared.vector().tolist(),
         "level_uncertainty_mm": wide if measured else None,
+        "misfit": misfit,
         "believed": list(found.believed),
         "residual": errors.residual,
         "strange": float(found.strange.mean()),
@@ -80,6 +87,7 @@ def read_calibration(folder: Path) -> Known:
         record["level_uncertainty_mm"],
         tuple(record["believed"]),
         record["residual"],
+        record["misfit"],
         record["strange"],
         record["unreached"],
     )

@@ -15,11 +15,11 @@ if TYPE_CHECKING:
 MOST_DRIFT = 2.0
 """Percent by which lamps may have changed since the flats without a warning."""
 
-SOUND = 0.05
-"""Smoothed residual, percent of the albedo, above which the model does not fit; sound captures have 0.02."""
-
 MOST_MISSED = 0.1
 """Percent of the samples whose ray misses the flat, above which it is told."""
+
+MOST_STRANGE = 1.0
+"""Percent of pixels of another material above which it is told."""
 
 LEAST_LIGHT = 0.2
 """Percent of the mean flat above which light that is always there is told."""
@@ -150,11 +150,11 @@ def _surface(known: Known | None) -> list[Number]:
             "Smooth residual",
             residual,
             "%",
-            "What the model misses in patches of the field, as a share of the albedo; sound captures have 0.02.",
+            "What the model misses in patches of the field, as a share of the albedo; sound captures have 0.03 to "
+            "0.07.",
             warning=f"The photographs differ from the model by {residual:.2f} % in patches of the field: what the "
-            "surface or the light does is not in the model. The uncertainties include it; above 0.1 % no level is "
-            "stated."
-            if residual is not None and residual > SOUND
+            "surface or the light does is not in the model. The uncertainties include it; no level is stated."
+            if known and known.misfit
             else "",
             code="model-misfit",
         ),
@@ -164,6 +164,11 @@ def _surface(known: Known | None) -> list[Number]:
             strange,
             "%",
             "Pixels that reflect light unlike most, such as gold: they had no say in these numbers.",
+            warning=f"{strange:.0f} % of the pixels reflect light unlike the rest, as gold or a frame does: their "
+            "normals, and heights across them, are not measured as the others are; the height's uncertainty says so."
+            if strange is not None and strange > MOST_STRANGE
+            else "",
+            code="other-material",
         ),
         Number(
             "Surface",

@@ -14,7 +14,7 @@ from nlights_core.near_light.overview import reduced_room
 from nlights_core.photographs.development import darkroom
 from nlights_core.photographs.flat_fields import read_flat_field
 from nlights_core.photographs.noise import read_noise
-from nlights_core.stages.inputs import facts_of_photographs, read_lights
+from nlights_core.stages.inputs import facts_of_photographs, read_lights, with_mask
 from nlights_core.store import ArtefactRef, Store, Work, describe
 
 RESTS_ON = ("calibration", "integration", "near_light", "photographs", "solving")
@@ -24,11 +24,12 @@ RESTS_ON = ("calibration", "integration", "near_light", "photographs", "solving"
 def calibration(
     store: Store, tile: Tile, lights: ArtefactRef, flat_field: ArtefactRef, groups: tuple[str, ...]
 ) -> Work:
-    """What all pixels share, ``calibration.json``; a coarse height and its uncertainty.
+    """Values that all pixels share, ``calibration.json``; a coarse height and its uncertainty.
 
     See `nlights_core.calibration`.  ``groups`` are what may be believed of the photographs, and "level" where that is
     sought.
     """
+    tile = with_mask(store, tile)
     facts = facts_of_photographs(store, tile, "frames") | {"groups": list(groups)}
     inputs = {"lights": lights, "flat_field": flat_field}
     ref, record = describe(

@@ -107,9 +107,12 @@ def keys(capture, tmp_path, monkeypatch):
     def found() -> dict[str, str]:
         sources._digest_of_place.cache_clear()
         registry.code_digest.cache_clear()
-        for recipe in (load_recipe("default"), load_recipe("paper"), TWO_PASSES):
-            steps = planning.plan(tile, recipe, Store(tmp_path / "store"))
-            own.update({f"{recipe.name} {step.ref.stage}": step.ref.key for step in steps})
+        unmasked = tile.model_copy(update={"auto_mask": True})
+        default, paper = load_recipe("default"), load_recipe("paper")
+        plans = (("", default, tile), ("", paper, tile), ("", TWO_PASSES, tile), ("auto-", default, unmasked))
+        for which, recipe, one in plans:
+            steps = planning.plan(one, recipe, Store(tmp_path / "store"))
+            own.update({f"{which}{recipe.name} {step.ref.stage}": step.ref.key for step in steps})
         return dict(own)
 
     yield copy, found
