@@ -55,7 +55,7 @@ def choose(
     precisions, centres : (M,) float64 arrays
         What is believed beforehand.
     groups : sequence of Group
-        To choose among.
+        To choose among; of those with the same name one at most is believed.
     every : bool
         Take all groups without looking at the evidence.
     always : sequence of int

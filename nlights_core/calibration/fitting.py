@@ -74,7 +74,7 @@ class Calibration:
     ----------
     shared : Shared
     believed : tuple of str
-        Groups of which there is evidence.
+        Groups of which there is evidence, and "level" where it was sought.
     covariance : (M, M) float64 array
         Of the unknowns; 0 where not fitted.
     equations : Equations
@@ -112,7 +112,7 @@ def calibrate(
     lights, flat_field : LightField, FlatField
         Near lamps, and what a flat reads.
     chosen : tuple of str
-        Groups that may be believed; and "level", which always is where it is sought.
+        Groups that may be believed; without "level" the surface is taken to lie in the plane of the flat.
     progress : callable
         Told the share done.
 
@@ -129,21 +129,22 @@ def calibrate(
     for number in range(ROUNDS):
         _follow(state, room, raw, lights, flat_field)
         assert state.equations is not None
-        found = _step(state.equations, state.shared, kinds, always, every=number < WITHOUT_CHOICE)
+        found = _step(state.equations, state.shared, kinds, number < WITHOUT_CHOICE, always)
         state.shared = state.shared.moved(found.values)
         progress((number + 1) / (ROUNDS + 1))
     assert state.equations is not None
     covariance = _covariance(state.equations, state.shared, found) + _doubt(state, found, kinds)
+    believed = (*(name for name in chosen if name == "level"), *found.believed)
     if smooth_residual(state.equations) > LOST:
         # What is believed of photographs that the model does not fit would be wrong: nothing is taken out of them.
         state = _State(nothing(count), np.zeros(room.grid.shape, np.float32))
         _follow(state, room, raw, lights, flat_field)
-        found, covariance = found._replace(believed=()), np.zeros_like(covariance)
+        believed, covariance = (), np.zeros_like(covariance)
     _follow(state, room, raw, lights, flat_field, equations=False)
     assert state.equations is not None
     apart = _with_strange(state, room, raw, lights, flat_field) - state.height
     return Calibration(
-        state.shared, found.believed, covariance, state.equations, state.height, state.strange, apart
+        state.shared, believed, covariance, state.equations, state.height, state.strange, apart
     )
 
 
@@ -185,7 +186,7 @@ def _follow(
 
 
 def _step(
-    equations: Equations, shared: Shared, kinds: list[Group], always: tuple[int, ...], *, every: bool
+    equations: Equations, shared: Shared, kinds: list[Group], every: bool, always: tuple[int, ...]
 ) -> evidence.Found:
     precisions, centres = prior(shared)
     right = equations.right + equations.matrix @ shared.vector()
@@ -223,8 +224,13 @@ def _doubt(state: _State, found: evidence.Found, kinds: list[Group]) -> Array:
         return out
     kept = {group.name: group for group in kinds if group.name in found.believed}
     kept["gloss"] = Group("gloss", tails, True)
-    always = (0,) if 0 in found.free else ()
-    other = _step(state.equations, state.shared, list(kept.values()), always, every=True)
+    other = _step(
+        state.equations,
+        state.shared,
+        list(kept.values()),
+        True,
+        found.free[:1] if found.free[:1] == (0,) else (),
+    )
     apart = UNLIKE * (other.values - found.values)
     return np.asarray(np.outer(apart, apart))
 

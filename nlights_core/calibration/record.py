@@ -10,9 +10,10 @@ import numpy as np
 
 from nlights_core.calibration.fitting import Calibration
 from nlights_core.calibration.uncertainty import SmoothErrors
-from nlights_core.calibration.unknowns import Shared, from_vector
+from nlights_core.calibration.unknowns import Shared, from_vector, nothing
 from nlights_core.files.arrays import write_array
-from nlights_core.frames import Array
+from nlights_core.frames import Array, PixelGrid
+from nlights_core.near_light.overview import block_edge
 
 MISFIT, OF_NOISE = 0.001, 3.0
 """Smoothed residual, as a share of the albedo and of what noise alone leaves, above which the model does not fit and
@@ -36,11 +37,11 @@ class Known:
         Standard uncertainty of the level, mm; None: it was not measured.
     believed : tuple of str
         Groups of which there is evidence.
-    residual : float
-        Smoothed residual, as a share of the albedo.
+    residual : float or None
+        Smoothed residual, as a share of the albedo; None: nothing was sought.
     misfit : bool
         Whether it is too large: the model does not fit.
-    strange : float
+    strange : float or None
         Share of the pixels that are of another material than most.
     unreached : float
         Share of the samples whose ray misses the photographed flat.
@@ -49,9 +50,9 @@ class Known:
     shared: Shared
     level_uncertainty: float | None
     believed: tuple[str, ...]
-    residual: float
+    residual: float | None
     misfit: bool
-    strange: float
+    strange: float | None
     unreached: float
 
 
@@ -62,12 +63,12 @@ def write_calibration(folder: Path, found: Calibration, errors: SmoothErrors, mi
     """
     misfit = errors.residual > max(MISFIT, OF_NOISE * errors.noise)
     wide = float(np.hypot(np.sqrt(found.covariance[0, 0]), MODEL * found.shared.level))
-    # A level that was not sought has no variance.
-    measured = found.covariance[0, 0] > 0 and wide <= LARGEST and not misfit
     record = {
         "lamps": len(found.shared.strengths),
         "values": found.shared.vector().tolist(),
-        "level_uncertainty_mm": wide if measured else None,
+        "level_uncertainty_mm": wide
+        if "level" in found.believed and wide <= LARGEST and not misfit
+        else None,
         "misfit": misfit,
         "believed": list(found.believed),
         "residual": errors.residual,
@@ -77,6 +78,24 @@ def write_calibration(folder: Path, found: Calibration, errors: SmoothErrors, mi
     (folder / "calibration.json").write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
     write_array(folder / "height.npy", found.height)
     write_array(folder / "uncertainty.npy", np.stack([errors.height, errors.slope]))
+
+
+def write_nothing(folder: Path, lamps: int, grid: PixelGrid) -> None:
+    """Write a calibration that found nothing, of a surface in the plane of the flat; its uncertainty is not known."""
+    record = {
+        "lamps": lamps,
+        "values": nothing(lamps).vector().tolist(),
+        "level_uncertainty_mm": None,
+        "misfit": False,
+        "believed": [],
+        "residual": None,
+        "strange": None,
+        "unreached": 0.0,
+    }
+    (folder / "calibration.json").write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+    edge = block_edge(grid.columns)
+    write_array(folder / "height.npy", np.zeros((grid.rows // edge, grid.columns // edge), np.float32))
+    write_array(folder / "uncertainty.npy", np.full((2, 1, 1), np.nan, np.float32))
 
 
 def read_calibration(folder: Path) -> Known:

@@ -59,7 +59,7 @@ def _level(known: Known | None, uncertainty: Array | None) -> list[Number]:
         Number(
             "Level",
             "Uncertainty of the height",
-            None if uncertainty is None else float(np.sqrt(np.mean(uncertainty[0].astype(float) ** 2))),
+            _typical(uncertainty),
             "mm",
             "Standard uncertainty of the smooth part of the height after the best constant, typically; "
             "height_uncertainty.tif has it for every pixel, with noise.",
@@ -67,9 +67,16 @@ def _level(known: Known | None, uncertainty: Array | None) -> list[Number]:
     ]
 
 
+def _typical(uncertainty: Array | None) -> float | None:
+    """Root mean square of the height's uncertainty; None where it is not known."""
+    if uncertainty is None or not np.isfinite(uncertainty[0]).all():
+        return None
+    return float(np.sqrt(np.mean(uncertainty[0].astype(float) ** 2)))
+
+
 def _light(known: Known | None) -> list[Number]:
     drift = additive = room = None
-    if known:
+    if known and known.residual is not None:
         strengths = known.shared.strengths
         drift = 100 * (float(np.exp(strengths.max())) - float(np.exp(strengths.min())))
         additive, room = 100 * known.shared.additive, 100 * known.shared.room
@@ -111,7 +118,7 @@ def _light(known: Known | None) -> list[Number]:
 
 def _surface(known: Known | None) -> list[Number]:
     gloss = departure = flat = residual = strange = missed = None
-    if known:
+    if known and known.residual is not None and known.strange is not None:
         missed = 100 * known.unreached
         gloss = 4 * float(known.shared.gloss.sum())
         departure = known.shared.departure

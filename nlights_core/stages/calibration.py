@@ -6,7 +6,7 @@ from pathlib import Path
 
 from nlights_core.calibration.correction import unreached
 from nlights_core.calibration.fitting import calibrate
-from nlights_core.calibration.record import write_calibration
+from nlights_core.calibration.record import write_calibration, write_nothing
 from nlights_core.calibration.uncertainty import smooth_errors
 from nlights_core.capture import Tile
 from nlights_core.machine.progress import Progress
@@ -27,7 +27,7 @@ def calibration(
     """Values that all pixels share, ``calibration.json``; a coarse height and its uncertainty.
 
     See `nlights_core.calibration`.  ``groups`` are what may be believed of the photographs, and "level" where that is
-    sought.
+    sought.  Distant lamps light all heights alike: of them nothing is sought.
     """
     tile = with_mask(store, tile)
     facts = facts_of_photographs(store, tile, "frames") | {"groups": list(groups)}
@@ -40,6 +40,10 @@ def calibration(
         field, divisor = read_lights(store, lights), read_flat_field(store.path(flat_field))
         with store.scratch() as scratch, darkroom(tile, scratch) as room:
             room.noise = read_noise(store.path(flat_field)) or room.noise
+            grid = room.grid
+            if not field.near or grid.unit != "mm":
+                write_nothing(folder, len(field.lamps), grid)
+                return
             small = reduced_room(room, lambda share: progress(0.5 * share))
         found = calibrate(small, field, divisor, groups, lambda share: progress(0.5 + 0.5 * share))
         missed = unreached(small.grid, found.height, field)

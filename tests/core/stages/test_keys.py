@@ -109,8 +109,12 @@ def keys(capture, tmp_path, monkeypatch):
         registry.code_digest.cache_clear()
         unmasked = tile.model_copy(update={"auto_mask": True})
         default, paper = load_recipe("default"), load_recipe("paper")
-        plans = (("", default, tile), ("", paper, tile), ("", TWO_PASSES, tile), ("auto-", default, unmasked))
-        for which, recipe, one in plans:
+        for which, recipe, one in (
+            ("", default, tile),
+            ("", paper, tile),
+            ("", TWO_PASSES, tile),
+            ("auto-", default, unmasked),
+        ):
             steps = planning.plan(one, recipe, Store(tmp_path / "store"))
             own.update({f"{which}{recipe.name} {step.ref.stage}": step.ref.key for step in steps})
         return dict(own)
