@@ -106,6 +106,11 @@ def _light(known: Known | None) -> list[Number]:
             room,
             "%",
             "Of the mean flat, reflected by artwork and flat; as above.",
+            warning=f"Artwork and flat reflect {room:.1f} % of light of the room, which the dark frame lacks: darken "
+            "the room, and photograph artwork and flats again; the measurement was corrected for it."
+            if room is not None and room > LEAST_LIGHT
+            else "",
+            code="additive-light",
         ),
     ]
 
