@@ -20,10 +20,12 @@ from pathlib import Path
 import numpy as np
 import scipy.fft
 
+from nlights_core.calibration.correction import known_lights
+from nlights_core.calibration.record import read_calibration
+from nlights_core.calibration.sampling import flat_field_of
 from nlights_core.fields import LightField, NormalField
 from nlights_core.files.arrays import read_array
 from nlights_core.manifest import load_capture
-from nlights_core.near_light.levelling import read_level
 from nlights_core.near_light.overview import Enlarged, block_edge
 from nlights_core.photographs.development import darkroom
 from nlights_core.photographs.flat_fields import read_flat_field
@@ -62,19 +64,21 @@ def normals_rate(capture: Path, store: Path, name: str, rounds: int = 3) -> floa
     assert offer is not None
     solver = offer.algorithm()
     own, flats = store / tile.folder / tile.name, store / tile.folder / FLATS
-    flat_field, overview = (
-        next(folder.glob(f"{stage}-*")) for folder, stage in ((flats, "flat_field"), (own, "overview"))
+    flat_field, calibration = (
+        next(folder.glob(f"{stage}-*")) for folder, stage in ((flats, "flat_field"), (own, "calibration"))
     )
     lights = next(own.glob("lights-*")) / "lights.json"
-    field = LightField.from_record(json.loads(lights.read_text())).stronger(read_level(overview).strengths)
+    shared, divisor = read_calibration(calibration).shared, read_flat_field(flat_field)
+    given = LightField.from_record(json.loads(lights.read_text()))
+    field, divisor = known_lights(given, divisor, shared), flat_field_of(divisor, given, shared)
     shape = grid_of(tile, survey(tile)).shape
-    height = Enlarged(read_array(overview / "height.npy"), block_edge(shape[1]), shape)
+    height = Enlarged(read_array(calibration / "height.npy"), block_edge(shape[1]), shape)
     found = []
     for _ in range(rounds + 1):
         with tempfile.TemporaryDirectory() as scratch, darkroom(tile, Path(scratch)) as room:
             room.noise = read_noise(flat_field) or room.noise
             assert rule_of(solver), f"{name} has no kernel"
-            fused = FusedSolver(room, solver, field, read_flat_field(flat_field), height, SHADOW, 1.0)
+            fused = FusedSolver(room, solver, field, divisor, height, SHADOW, 1.0)
             started = time.monotonic()
             deque(fused.strips(AgreementMeter(room.grid, partial(solve_band, solver))), 0)
             found.append(shape[0] * shape[1] / 1e6 / (time.monotonic() - started))

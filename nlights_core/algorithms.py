@@ -82,8 +82,8 @@ class Algorithm(BaseModel, ABC):
     name: ClassVar[str]
     """What ``use:`` in a recipe calls it: hyphenated, as in the literature."""
     needs: ClassVar[tuple[str, ...]] = ()
-    """Fields of the tile that must be there (of "stand", "flats", "spheres", "lights"): checked
-    before anything runs."""
+    """Fields of the tile that must be there (of "stand", "flats", "spheres", "lights", "known_heights"):
+    checked before anything runs."""
 
 
 class LightModel(Algorithm):
@@ -242,7 +242,7 @@ class HeightDetrend(Algorithm):
         Parameters
         ----------
         height : HeightMap
-            NaN where not known.
+            NaN where not known.  Its ``known`` is None unless "known_heights" is among `needs`.
 
         Returns
         -------

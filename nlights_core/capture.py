@@ -81,6 +81,24 @@ class GivenLights(Record):
     intensities: Path | None = None
 
 
+class HeightFile(Record):
+    """File of heights that somebody measured, and how sure they are."""
+
+    file: Path = Field(
+        description="CSV with the columns x_mm, y_mm, z_mm and perhaps sigma_mm, or a PLY in mm"
+    )
+    sigma_mm: Positive | None = Field(
+        default=None, description="standard uncertainty of each z, mm, where the file does not state it"
+    )
+    registration_mm: float = Field(
+        default=0.0, ge=0, description="standard uncertainty of x and of y in the plane frame, mm"
+    )
+    tilted: bool = Field(
+        default=False,
+        description="whether their frame may lean against the plane frame: their tilt is not used",
+    )
+
+
 class Tile(Record):
     """One placement of the stand over an artwork: the unit of work, of caching and of failure."""
 
@@ -101,8 +119,12 @@ class Tile(Record):
     )
     dark: Path | None = None
     mask: Path | None = Field(default=None, description="image that is white on the artwork")
+    auto_mask: bool = Field(
+        default=False, description="whether the mask is found in the photographs; a path in the store then"
+    )
     spheres: tuple[Sphere, ...] = ()
     lights: GivenLights | None = None
+    known_heights: HeightFile | None = None
     encoding: Encoding = Encoding()
     sensor: Sensor | None = None
     white_reflectance: float = Field(default=0.9, gt=0, le=1, description="albedo of the flat")

@@ -211,6 +211,33 @@ class NormalField:
 
 
 @dataclass(frozen=True)
+class KnownHeights:
+    """Heights of an artwork that somebody measured by other means: a probe, a scanner, photogrammetry.
+
+    Their constant is free: no probe knows the plane of the flat.
+
+    Parameters
+    ----------
+    points : (N, 3) float64 array
+        x, y, z in the plane frame, mm.
+    sigma : (N,) float64 array
+        Standard uncertainty of each z, mm.
+    registration_mm : float
+        Standard uncertainty of x and of y, mm.
+    tilted : bool
+        Whether their frame may lean against the plane frame: then their tilt says nothing.
+    source : str
+        What sentences call them: the file's name.
+    """
+
+    points: Array
+    sigma: Array
+    registration_mm: float = 0.0
+    tilted: bool = False
+    source: str = "known_heights"
+
+
+@dataclass(frozen=True)
 class HeightMap:
     """Height of the surface towards the camera, on the photograph's grid.
 
@@ -221,7 +248,10 @@ class HeightMap:
         not known.
     grid : PixelGrid
         Where the pixels are.
+    known : KnownHeights, optional
+        Heights that somebody measured; given to a detrend that has "known_heights" among its `needs`.
     """
 
     height: Array
     grid: PixelGrid
+    known: KnownHeights | None = None

@@ -9,7 +9,7 @@ from typing import Annotated
 
 from pydantic import AfterValidator, Field
 
-from nlights_core.capture import Encoding, GivenLights, Sensor, Sphere, Tile
+from nlights_core.capture import Encoding, GivenLights, HeightFile, Sensor, Sphere, Tile
 from nlights_core.capture_warnings import CaptureWarning
 from nlights_core.configurations import Source, load_stand
 from nlights_core.errors import CaptureError, StandError
@@ -23,6 +23,9 @@ PlainText = Annotated[str, AfterValidator(composed)]
 
 TEXTS = (("artwork", "id"), ("artwork", "title"), ("tiles", None, "name"))
 """Fields that are the text that was written: ``0012`` is no number."""
+
+AUTO = "auto"
+"""Instead of a mask's name: found in the photographs."""
 
 PLAIN_NAME = re.compile(r"[^\W_](?:[\w .,()+-]*[\w)])?")
 
@@ -45,6 +48,13 @@ class _Lights(Record):
     intensities: str | None = None
 
 
+class _KnownHeights(Record):
+    file: str
+    sigma_mm: Positive | None = None
+    registration_mm: float = Field(default=0.0, ge=0)
+    tilted: bool = False
+
+
 class _Tile(Record):
     name: PlainText
     origin_mm: tuple[float, float] = (0.0, 0.0)
@@ -52,6 +62,7 @@ class _Tile(Record):
     flats: Frames | None = None
     dark: str | None = None
     mask: str | None = None
+    known_heights: _KnownHeights | None = None
 
 
 class Manifest(Record):
@@ -66,6 +77,7 @@ class Manifest(Record):
     mask: str | None = None
     chrome_spheres: list[_Sphere] = Field(default=[])
     lights: _Lights | None = None
+    known_heights: _KnownHeights | None = None
     encoding: Encoding = Encoding()
     sensor: Sensor | None = None
     pixel_size_mm: Positive | None = None
@@ -172,7 +184,9 @@ class _Reader:
             own = getattr(entry, field)
             return ((*at, field), own) if own is not None else ((field,), getattr(whole, field))
 
-        dark, mask = (self._optional(*either(field), entry.name) for field in ("dark", "mask"))
+        dark = self._optional(*either("dark"), entry.name)
+        auto_mask = either("mask")[1] == AUTO
+        mask = None if auto_mask else self._optional(*either("mask"), entry.name)
         others = {path for path in (dark, mask) if path}
         frames = self._frames(*either("frames"), entry.name, others)
         flats_at, flats_given = either("flats")
@@ -184,6 +198,7 @@ class _Reader:
             self._sphere(i, sphere, entry.name, frames) for i, sphere in enumerate(whole.chrome_spheres)
         ]
         lights = self._lights()
+        heights = self._heights(at, entry)
         if self.faults:
             return None
         return Tile(
@@ -198,8 +213,10 @@ class _Reader:
             flats_averaged=whole.flats_averaged,
             dark=dark,
             mask=mask,
+            auto_mask=auto_mask,
             spheres=tuple(spheres),
             lights=lights,
+            known_heights=heights,
             encoding=whole.encoding,
             sensor=whole.sensor,
             white_reflectance=whole.white_reflectance,
@@ -233,6 +250,19 @@ class _Reader:
             directions=self.paths.file(("lights", "directions"), given.directions),
             intensities=self.paths.file(("lights", "intensities"), intensities) if intensities else None,
         )
+
+    def _heights(self, at: Location, entry: _Tile) -> HeightFile | None:
+        own = entry.known_heights
+        given, place = (
+            (own, (*at, "known_heights")) if own else (self.manifest.known_heights, ("known_heights",))
+        )
+        if given is None:
+            return None
+        place = (*place, "file")
+        path = self.paths.file(place, self.paths.fill(place, given.file, entry.name))
+        if path.suffix.lower() == ".ply" and given.sigma_mm is None:
+            self.paths.tell(place[:-1], "sigma_mm is missing, which a PLY does not hold; add it, mm")
+        return HeightFile(**{**given.model_dump(), "file": path})
 
     def _frames(
         self, at: Location, given: Frames | str | None, tile: str, others: Collection[Path]

@@ -34,7 +34,7 @@ class Detrends(Record):
 
 
 class Sought(Record):
-    """What is sought in a tile's own photographs and holds for all its pixels; see docs/calibration.md."""
+    """Unknowns that are sought in a tile's own photographs and hold for all its pixels; see docs/calibration.md."""
 
     level: bool = Field(default=True, description="the height of the surface above the plane of the flat")
     lamps: bool = Field(default=True, description="the strength of each lamp since the flats were taken")
@@ -252,8 +252,8 @@ class _Reader:
         elif detrend is not None:
             self.faults.append(self.source.fault(("detrend",), f"should be a mapping; got {detrend!r}"))
         plain = {name: data[name] for name in ("passes", "integrable", "calibration") if name in data}
-        if plain.get("calibration") == "none":
-            plain["calibration"] = None
+        if "calibration" in plain:
+            plain["calibration"] = self._sought(plain["calibration"])
         self._are_numbers((), plain, Recipe)
         if not self.faults:
             try:
@@ -261,6 +261,16 @@ class _Reader:
             except ValidationError as faults:
                 self.faults += self.source.sentences(faults, Recipe)
         raise RecipeError("\n".join(self.faults))
+
+    def _sought(self, given: Any) -> Any:
+        """What a calibration is asked for; None where there shall be none."""
+        names = list(Sought.model_fields)
+        if isinstance(given, dict):
+            self._refuse_unknown(("calibration",), given, names)
+        elif given is not None and given != "none":
+            what = f"none, or a mapping of {', '.join(names)} to true or false"
+            self.faults.append(self.source.fault(("calibration",), f"should be {what}; got {given!r}"))
+        return None if given == "none" else given
 
     def _has(self, slot: str) -> bool:
         if slot in self.source.data:

@@ -153,11 +153,11 @@ def _check(offer: Offer) -> None:
             f"{offer.origin}: {cls.__name__} is of no known kind; subclass one of "
             + ", ".join(kind.__name__ for kind in KINDS)
         )
-    unknown = set(cls.needs) - {"stand", "flats", "spheres", "lights"}
+    unknown = set(cls.needs) - {"stand", "flats", "spheres", "lights", "known_heights"}
     if unknown:
         raise PluginError(
             f"{offer.origin}: {cls.__name__} needs {', '.join(sorted(unknown))}, which no tile has; a tile has "
-            "stand, flats, spheres and lights"
+            "stand, flats, spheres, lights and known_heights"
         )
     if not isinstance(getattr(cls, "name", None), str):
         raise PluginError(f"{offer.origin}: {cls.__name__} has no name; set name: ClassVar[str]")

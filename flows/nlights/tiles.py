@@ -95,6 +95,12 @@ class TileResult:
         return self._map("reflection", "")
 
     @cached_property
+    def height_uncertainty(self) -> Map | None:
+        """Standard uncertainty of the height, (H, W) float32, in its unit; None: not measured."""
+        present = self._path("height_uncertainty.tif").is_file()
+        return self._map("height_uncertainty", self.grid.unit) if present else None
+
+    @cached_property
     def confidence(self) -> Map:
         """Standard uncertainty of each normal, (H, W) float32, degrees: 68 % are off by no more."""
         return self._map("confidence", "°")

@@ -13,7 +13,7 @@ from nlights_core.agreement.comparisons import compare_photographs
 from nlights_core.agreement.file_headers import header_warnings
 from nlights_core.agreement.number_ranges import range_warnings
 from nlights_core.agreement.predictions import compare_with_predictions
-from nlights_core.agreement.samples import sample_photographs
+from nlights_core.agreement.samples import Samples, sample_photographs
 from nlights_core.capture import Tile
 from nlights_core.capture_warnings import CaptureWarning
 from nlights_core.fields import LightField
@@ -26,6 +26,7 @@ def examine_photographs(
     flats: bool,
     scratch: Path,
     progress: Callable[[float], None] = lambda _: None,
+    seen: Callable[[Samples], object] = lambda _: None,
 ) -> list[CaptureWarning]:
     """Compare every photograph with its flat, with the stand, and with what the others predict.
 
@@ -40,6 +41,8 @@ def examine_photographs(
         Folder for what must be kept decoded.
     progress : callable
         Told the share done.
+    seen : callable
+        Given the small pictures, before they are compared.
 
     Returns
     -------
@@ -56,6 +59,7 @@ def examine_photographs(
         with darkroom(tile, scratch, flats=which) as room:
             told += range_warnings(room)
     samples = sample_photographs(tile, flats, scratch, lambda done: progress(0.4 * done))
+    seen(samples)
     first = compare_photographs(samples, tile, lights)
     progress(0.5)
     found = first.warnings

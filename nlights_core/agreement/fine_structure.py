@@ -10,7 +10,7 @@ import numpy as np
 from scipy.ndimage import shift, uniform_filter
 
 from nlights_core.agreement.details import Detail, Surroundings
-from nlights_core.agreement.gains import unexplained
+from nlights_core.agreement.places import unexplained
 from nlights_core.agreement.relative_light import FEWEST
 from nlights_core.frames import Array
 from nlights_core.machine.band_threads import in_order

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import combinations
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -44,6 +44,7 @@ def choose(
     centres: Array,
     groups: Sequence[Group],
     every: bool = False,
+    always: Sequence[int] = (0,),
 ) -> Found:
     """Choose the groups with the largest evidence, and solve for them.
 
@@ -54,27 +55,42 @@ def choose(
     precisions, centres : (M,) float64 arrays
         What is believed beforehand.
     groups : sequence of Group
-        To choose among; the first unknown, the level, is always fitted.
+        To choose among; of those with the same name one at most is believed.
     every : bool
         Take all groups without looking at the evidence.
+    always : sequence of int
+        Places of the unknowns that are fitted whatever the evidence: the level.
 
     Returns
     -------
     Found
     """
-    sizes = [len(groups)] if every else range(len(groups) + 1)
-    trials = [some for size in sizes for some in combinations(groups, size)]
+    alternatives: dict[str, list[Group | None]] = {}
+    for group in groups:
+        alternatives.setdefault(group.name, [] if every else [None]).append(group)
+    if every:
+        # Of alternatives the last has them all.
+        alternatives = {name: some[-1:] for name, some in alternatives.items()}
+    trials = [[group for group in some if group] for some in product(*alternatives.values())]
     return max(
-        (_fit(matrix, right, precisions, centres, some) for some in trials), key=lambda found: found.evidence
+        (_fit(matrix, right, precisions, centres, some, always) for some in trials),
+        key=lambda found: found.evidence,
     )
 
 
-def _fit(matrix: Array, right: Array, precisions: Array, centres: Array, some: Sequence[Group]) -> Found:
+def _fit(
+    matrix: Array,
+    right: Array,
+    precisions: Array,
+    centres: Array,
+    some: Sequence[Group],
+    always: Sequence[int],
+) -> Found:
     """Fit a choice of groups; what cannot be negative and would be is taken out, the most negative first."""
-    free = [0, *(place for group in some for place in group.places)]
+    free = [*always, *(place for group in some for place in group.places)]
     positive = {place for group in some if group.positive for place in group.places}
     while True:
-        places = np.array(free)
+        places = np.array(free, np.intp)
         inner = matrix[np.ix_(places, places)] + np.diag(precisions[places])
         shifted = right[places] - matrix[np.ix_(places, places)] @ centres[places]
         values = np.linalg.solve(inner, shifted)

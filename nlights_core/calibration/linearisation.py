@@ -38,6 +38,9 @@ INDEPENDENT = 1000
 CELL = 12
 """Edge, px of the reduced photographs, of the blocks on which what shared unknowns do to the height is computed."""
 
+DARKEST = 0.1
+"""Share of the median albedo below which residuals are not looked at as shares of it."""
+
 PART = 2048
 """Pixels that are worked on together."""
 
@@ -152,8 +155,10 @@ def _eliminate(
     scale = residual_spread(residuals, precisions)
     surprise = residuals**2 * precisions / (TUNING * scale) ** 2
     albedo = np.linalg.norm(scaled, axis=1)
+    # As shares of the albedo nearly black pixels would say most.
+    albedo[albedo < DARKEST * np.nanmedian(albedo)] = np.nan
     with np.errstate(divide="ignore", invalid="ignore"):
-        variances = np.where(precisions > 0, scale**2 / precisions, np.nan) / albedo[:, None] ** 2
+        variances = np.where(precisions > 0, min(scale, 1.0) ** 2 / precisions, np.nan) / albedo[:, None] ** 2
     precisions = precisions / (1 + surprise)
     inverses, tilts = np.empty((size, 6)), np.empty((2, unknowns, size))
 
@@ -229,11 +234,11 @@ def _noise(grid: PixelGrid, pixels: Pixels, variances: Array, usable: Array) -> 
     if not number.any():
         return 0.0
     free = max(variances.shape[1] - 3, 0) / variances.shape[1]
-    return float(np.nanmean(variances) * np.mean(1 / number[number > 0]) * free)
+    return float(np.nanmedian(variances) * np.mean(1 / number[number > 0]) * free)
 
 
 def _bends(grid: PixelGrid, pixels: Pixels, tilts: Array, usable: Array) -> tuple[Array, Array]:
-    """What a unit of each unknown does to the integrated height: on blocks (M, h, w), and at the pixels (N, M)."""
+    """Bends of the integrated height by a unit of each unknown: on blocks (M, h, w), and at the pixels (N, M)."""
     from scipy.ndimage import map_coordinates
 
     coarse = coarse_grid(grid)
@@ -244,6 +249,28 @@ def _bends(grid: PixelGrid, pixels: Pixels, tilts: Array, usable: Array) -> tupl
     places = np.stack([(pixels.rows + 0.5) / CELL - 0.5, (pixels.columns + 0.5) / CELL - 0.5])
     at_pixels = np.stack([map_coordinates(bend, places, order=1, mode="nearest") for bend in bends], axis=1)
     return bends, np.ascontiguousarray(at_pixels)
+
+
+SMOOTH = 1.0
+"""Over how many blocks residuals are smoothed."""
+
+
+def smooth_blocks(equations: Equations) -> Array:
+    """Smoothed mean residuals on blocks, (L, h, w), as shares of the albedo."""
+    from scipy.ndimage import gaussian_filter
+
+    return np.stack([gaussian_filter(fill(block), SMOOTH, mode="nearest") for block in equations.blocks])
+
+
+def smooth_residual(equations: Equations) -> float:
+    """What the model misses: smoothed residual beyond noise, rms over the blocks, as a share of the albedo."""
+    square = float(np.mean(smooth_blocks(equations) ** 2))
+    return float(np.sqrt(max(square - smooth_noise(equations) ** 2, 0.0)))
+
+
+def smooth_noise(equations: Equations) -> float:
+    """What noise alone leaves of a smoothed residual, as a share of the albedo."""
+    return float(np.sqrt(equations.noise / (4 * np.pi * SMOOTH**2)))
 
 
 def fill(values: Array) -> Array:

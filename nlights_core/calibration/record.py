@@ -12,15 +12,14 @@ import numpy as np
 from nlights_core.calibration.fitting import Calibration
 from nlights_core.calibration.two_rings import TwoAnswers
 from nlights_core.calibration.uncertainty import SmoothErrors
-from nlights_core.calibration.unknowns import Shared, from_vector
+from nlights_core.calibration.unknowns import Shared, from_vector, nothing
 from nlights_core.files.arrays import write_array
-from nlights_core.frames import Array
+from nlights_core.frames import Array, PixelGrid
+from nlights_core.near_light.overview import block_edge
 
-SOUND = 0.0005
-"""Smoothed residual, as a share of the albedo, above which the model does not fit."""
-
-MISFIT = 0.001
-"""Smoothed residual above which no level is stated."""
+MISFIT, OF_NOISE = 0.001, 3.0
+"""Smoothed residual, as a share of the albedo and of what noise alone leaves, above which the model does not fit and
+no level is stated.  Sound captures leave 0.0003 to 0.0007."""
 
 LARGEST = 0.3
 """Uncertainty of a level above which it counts as not measured, mm."""
@@ -35,7 +34,7 @@ MODEL = 0.015
 
 @dataclass(frozen=True)
 class Known:
-    """What is known of a tile as a whole.
+    """Knowledge of a tile as a whole.
 
     Attributes
     ----------
@@ -44,9 +43,11 @@ class Known:
         Standard uncertainty of the level, mm; None: it was not measured.
     believed : tuple of str
         Groups of which there is evidence.
-    residual : float
-        Smoothed residual, as a share of the albedo.
-    strange : float
+    residual : float or None
+        Smoothed residual, as a share of the albedo; None: nothing was sought.
+    misfit : bool
+        Whether it is too large: the model does not fit.
+    strange : float or None
         Share of the pixels that are of another material than most.
     unreached : float
         Share of the samples whose ray misses the photographed flat.
@@ -59,8 +60,9 @@ class Known:
     shared: Shared
     level_uncertainty: float | None
     believed: tuple[str, ...]
-    residual: float
-    strange: float
+    residual: float | None
+    misfit: bool
+    strange: float | None
     unreached: float
     answers: TwoAnswers | None = None
     noisier: float | None = None
@@ -79,11 +81,15 @@ def write_calibration(
     ``missed`` is the share of the samples whose ray misses the photographed flat; ``answers``, how far heights by two
     halves of the lamps differ; ``noisier``, how noisy they are against the flats.
     """
+    misfit = errors.residual > max(MISFIT, OF_NOISE * errors.noise)
     wide = float(np.hypot(np.sqrt(found.covariance[0, 0]), MODEL * found.shared.level))
     record = {
         "lamps": len(found.shared.strengths),
         "values": found.shared.vector().tolist(),
-        "level_uncertainty_mm": wide if wide <= LARGEST and errors.residual <= MISFIT else None,
+        "level_uncertainty_mm": wide
+        if "level" in found.believed and wide <= LARGEST and not misfit
+        else None,
+        "misfit": misfit,
         "believed": list(found.believed),
         "residual": errors.residual,
         "strange": float(found.strange.mean()),
@@ -96,6 +102,29 @@ def write_calibration(
     write_array(folder / "uncertainty.npy", np.stack([errors.height, errors.slope]))
 
 
+def write_nothing(folder: Path, lamps: int, grid: PixelGrid, noisier: float | None) -> None:
+    """Write a calibration that found nothing, of a surface in the plane of the flat; its uncertainty is not known.
+
+    ``noisier``: as for `write_calibration`.
+    """
+    record = {
+        "lamps": lamps,
+        "values": nothing(lamps).vector().tolist(),
+        "level_uncertainty_mm": None,
+        "misfit": False,
+        "believed": [],
+        "residual": None,
+        "strange": None,
+        "unreached": 0.0,
+        "answers": None,
+        "noisier": noisier,
+    }
+    (folder / "calibration.json").write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+    edge = block_edge(grid.columns)
+    write_array(folder / "height.npy", np.zeros((grid.rows // edge, grid.columns // edge), np.float32))
+    write_array(folder / "uncertainty.npy", np.full((2, 1, 1), np.nan, np.float32))
+
+
 def read_calibration(folder: Path) -> Known:
     """Read what `write_calibration` wrote."""
     record = json.loads((folder / "calibration.json").read_text(encoding="utf-8"))
@@ -104,6 +133,7 @@ def read_calibration(folder: Path) -> Known:
         record["level_uncertainty_mm"],
         tuple(record["believed"]),
         record["residual"],
+        record["misfit"],
         record["strange"],
         record["unreached"],
         _answers(record["answers"]),

@@ -19,7 +19,7 @@ from nlights_core.frames import Array
 
 LOBES = (
     *(("ggx", roughness) for roughness in (0.05, 0.08, 0.13, 0.2, 0.275, 0.35, 0.45, 0.6)),
-    *(("beckmann", roughness) for roughness in (0.13, 0.2, 0.3, 0.4, 0.55)),
+    *(("beckmann", roughness) for roughness in (0.12, 0.15, 0.19, 0.24, 0.3, 0.375, 0.47, 0.6)),
 )
 """Distribution of facets, and alpha, of each lobe.  With three, a gloss between two of them left a level wrong by
 several sigmas; without those of Beckmann, which have no tails, a gloss of that kind (or of Blinn, Phong and Ward,
@@ -37,7 +37,7 @@ WHITE = 0.9
 
 @dataclass(frozen=True)
 class Reflectance:
-    """What a tile's surface does with light beyond what matt paint does.
+    """Behaviour of a tile's surface in light, beyond that of matt paint.
 
     Attributes
     ----------
@@ -121,7 +121,7 @@ def cross_term(normals: Array, lights: Array, views: Array) -> Array:
 
 
 def excess(reflectance: Reflectance, normals: Array, lights: Array, views: Array) -> tuple[Array, Array]:
-    """What samples read beyond matt paint: white gloss, and what is added to the albedo's share.
+    """Light that samples read beyond matt paint: white gloss, and what is added to the albedo's share.
 
     Parameters
     ----------

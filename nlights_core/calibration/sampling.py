@@ -111,7 +111,7 @@ def develop_pixels(
 def readings_of_constant(
     room: Darkroom, pixels: Pixels, lights: LightField, flat_field: FlatField, z: Array
 ) -> Array:
-    """What light as bright as the mean flat, the same everywhere, adds to the pixels' readings, (L, N) float32."""
+    """Readings that light as bright as the mean flat, the same everywhere, adds to the pixels, (L, N) float32."""
     bright = (
         np.full_like(pixels.raw.images, mean_flat(flat_field))
         / lights.power.astype(np.float32)[:, None, None]

@@ -7,7 +7,13 @@ from typing import NamedTuple
 import numpy as np
 
 from nlights_core.calibration.fitting import Calibration
-from nlights_core.calibration.linearisation import coarse_grid, fill
+from nlights_core.calibration.linearisation import (
+    CELL,
+    coarse_grid,
+    smooth_blocks,
+    smooth_noise,
+    smooth_residual,
+)
 from nlights_core.fields import LightField
 from nlights_core.frames import Array, PixelGrid
 from nlights_core.integration.poisson import simchony
@@ -15,8 +21,8 @@ from nlights_core.integration.poisson import simchony
 SHARE = 0.8
 """Of what the parts below add up to: in 42 captures the true errors were that much smaller, at the median."""
 
-SMOOTH, WIDE = 1.0, 4.0
-"""Over how many blocks residuals, and the errors that they hint at, are smoothed."""
+WIDE = 4.0
+"""Over how many blocks the errors that residuals hint at are smoothed."""
 
 
 class SmoothErrors(NamedTuple):
@@ -30,11 +36,14 @@ class SmoothErrors(NamedTuple):
         Of a slope in one direction.
     residual : float
         Smoothed residual beyond noise, rms over the blocks, as a share of the albedo: what the model misses.
+    noise : float
+        What noise alone leaves of it.
     """
 
     height: Array
     slope: Array
     residual: float
+    noise: float
 
 
 def smooth_errors(found: Calibration, lights: LightField, grid: PixelGrid) -> SmoothErrors:
@@ -54,29 +63,37 @@ def smooth_errors(found: Calibration, lights: LightField, grid: PixelGrid) -> Sm
     across, down = (np.gradient(equations.bends, coarse.pixel_size, axis=axis) for axis in (2, 1))
     slope = np.einsum("mhw,mn,nhw->hw", across, found.covariance, across) / 2
     slope += np.einsum("mhw,mn,nhw->hw", down, found.covariance, down) / 2
-    missed, missed_slope, residual = _misfit(equations.blocks, lights, coarse)
+    missed, missed_slope = _misfit(smooth_blocks(equations), lights, coarse)
+    if found.strange.any():
+        apart = block_means(found.apart - np.median(found.apart), CELL, coarse)
+        missed = missed + (apart / SHARE) ** 2
     return SmoothErrors(
         (SHARE * np.sqrt(np.maximum(variance + missed, 0))).astype(np.float32),
         (SHARE * np.sqrt(np.maximum(slope + missed_slope, 0))).astype(np.float32),
-        np.sqrt(max(residual**2 - equations.noise / (4 * np.pi * SMOOTH**2), 0.0)),
+        smooth_residual(equations),
+        smooth_noise(equations),
     )
 
 
-def _misfit(blocks: Array, lights: LightField, coarse: PixelGrid) -> tuple[Array, Array, float]:
-    """Variance of height and slope by what the model misses, (h, w) each, and the smoothed residual's rms.
+def block_means(values: Array, edge: int, coarse: PixelGrid) -> Array:
+    """Means over blocks of a map, the last ones in part beside it, (h, w)."""
+    rows, columns = values.shape
+    wide = np.pad(values, ((0, coarse.rows * edge - rows), (0, coarse.columns * edge - columns)), mode="edge")
+    return np.asarray(wide.reshape(coarse.rows, edge, coarse.columns, edge).mean(axis=(1, 3)))
+
+
+def _misfit(seen: Array, lights: LightField, coarse: PixelGrid) -> tuple[Array, Array]:
+    """Variance of height and slope by what the model misses, (h, w) each; ``seen`` (L, h, w) is what it leaves.
 
     What it misses in the directions that the normals leave free can be seen; it is taken to miss as much in the three
     that the normals take.  All pairs of the ones and the others are tried.
     """
     from scipy.ndimage import gaussian_filter
 
-    count = len(blocks)
-    seen = np.stack([gaussian_filter(fill(block), SMOOTH, mode="nearest") for block in blocks])
     rays = lights.vectors(coarse.points(0, coarse.rows)).astype(np.float64)
     rays = np.moveaxis(rays / rays[..., 2:], 0, 2)
     basis, triangle = np.linalg.qr(rays, mode="complete")
     free = np.einsum("hwlk,lhw->khw", basis[..., 3:], seen)
-    residual = float(np.sqrt(np.mean(seen**2)))
     # Light = basis times triangle: a fault along a direction of the normals' space turns them by its inverse.
     turned = np.linalg.inv(triangle[..., :3, :])
     height, slope = np.zeros(coarse.shape), np.zeros(coarse.shape)
@@ -85,5 +102,6 @@ def _misfit(blocks: Array, lights: LightField, coarse: PixelGrid) -> tuple[Array
             across, up = (-turned[..., axis, direction] * fault for axis in (0, 1))
             height += simchony(across * coarse.pixel_size, -up * coarse.pixel_size) ** 2
             slope += (across**2 + up**2) / 2
-    number = max(count - 3, 1)
-    return (*(gaussian_filter(part / number, WIDE, mode="nearest") for part in (height, slope)), residual)
+    number = max(len(seen) - 3, 1)
+    height, slope = (gaussian_filter(part / number, WIDE, mode="nearest") for part in (height, slope))
+    return height, slope

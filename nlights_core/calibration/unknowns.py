@@ -52,7 +52,7 @@ class Group(NamedTuple):
 
 @dataclass(frozen=True)
 class Shared:
-    """What all pixels of a tile share.
+    """Values that all pixels of a tile share.
 
     Attributes
     ----------
@@ -81,7 +81,7 @@ class Shared:
 
     @property
     def reflectance(self) -> Reflectance:
-        """What of it is the surface's."""
+        """The part that is the surface's."""
         return Reflectance(self.gloss, self.departure)
 
     def vector(self) -> Array:
@@ -97,7 +97,7 @@ class Shared:
         )
 
     def moved(self, to: Array) -> Shared:
-        """What a vector says, approached by steps that are not too long."""
+        """Approach what a vector says, by steps that are not too long."""
         found = from_vector(to, len(self.strengths))
         level = self.level + np.clip(found.level - self.level, -LARGEST_LEVEL, LARGEST_LEVEL)
         change = np.clip(found.strengths - self.strengths, -LARGEST_STRENGTH, LARGEST_STRENGTH)
@@ -128,16 +128,25 @@ def from_vector(vector: Array, lamps: int) -> Shared:
 
 
 def groups(lamps: int) -> list[Group]:
-    """Groups of unknowns beside the level, which is always one."""
+    """Groups of unknowns beside the level, which is always one; of a name one at most is believed."""
     first, lobes = 1 + lamps, len(LOBES)
     rest = first + lobes
     return [
         Group("lamps", tuple(range(1, first)), False),
-        Group("gloss", tuple(range(first, rest)), True),
+        *(Group("gloss", tuple(first + place for place in family), True) for family in _families()),
         Group("departure", (rest,), False),
         Group("ambient", (rest + 1, rest + 2), True),
         Group("flat-gloss", tuple(range(rest + 3, rest + 3 + len(FLAT_LOBES))), True),
     ]
+
+
+def _families() -> list[tuple[int, ...]]:
+    """Lobes of each kind by themselves, and all together."""
+    kinds = [kind for kind, _ in LOBES]
+    alone = [
+        tuple(place for place, other in enumerate(kinds) if other == kind) for kind in dict.fromkeys(kinds)
+    ]
+    return [*alone, tuple(range(len(LOBES)))]
 
 
 def prior(shared: Shared) -> tuple[Array, Array]:

@@ -36,7 +36,7 @@ from nlights_core.contracts.verification import (
     refusal,
 )
 from nlights_core.errors import NlightsError
-from nlights_core.fields import HeightMap, LightField, NormalField
+from nlights_core.fields import HeightMap, KnownHeights, LightField, NormalField
 from nlights_core.frames import Array
 
 Lent = TypeVar("Lent")
@@ -136,7 +136,7 @@ def trend(detrend: HeightDetrend, height: HeightMap) -> Array:
     """
     with name_in_faults(detrend):
         found = detrend.trend(lent(height))
-    return checked_trend(detrend, found, height.height)
+    return checked_trend(detrend, found, height)
 
 
 def lent(value: Lent) -> Lent:
@@ -156,7 +156,8 @@ def lent(value: Lent) -> Lent:
         return view
     if is_dataclass(value) and not isinstance(value, type):
         parts = {part.name: getattr(value, part.name) for part in fields(value)}
-        return replace(value, **{name: lent(a) for name, a in parts.items() if isinstance(a, np.ndarray)})
+        kept = (np.ndarray, KnownHeights)
+        return replace(value, **{name: lent(part) for name, part in parts.items() if isinstance(part, kept)})
     return value
 
 

@@ -239,21 +239,25 @@ def checked_bias(algorithm: Algorithm, value: Any, shape: tuple[int, int]) -> Ar
     return found
 
 
-def checked_trend(algorithm: Algorithm, value: Any, height: Array) -> Array:
+def checked_trend(algorithm: Algorithm, value: Any, field: HeightMap) -> Array:
     """Check the trend that a detrend of heights returned, (H, W) float32.
 
     Raises
     ------
     TileError
         When it is of another shape, not finite everywhere, or varies more than `FACTOR` times as much
-        as the height itself.
+        as the height itself, or as the heights that somebody measured.
     """
+    height = field.height
     found = _finite(algorithm, "the trend", value, height.shape)
     step = max(1, max(height.shape) // SAMPLES)
     before, removed = height[::step, ::step], found[::step, ::step]
     known = np.isfinite(before)
     if known.any():
         spread, own = float(np.std(removed[known])), float(np.std(before[known]))
+        if field.known is not None and len(field.known.points):
+            # Photographs may have lost a bow that was measured.
+            own = max(own, float(np.std(field.known.points[:, 2])))
         # Below a micrometre it is rounding that varies.
         if spread > max(FACTOR * own, 1e-3):
             raise refusal(

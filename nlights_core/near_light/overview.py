@@ -28,7 +28,7 @@ from nlights_core.solving.kernels import TASK, robust_solution
 from nlights_core.solving.least_squares import UsableLights
 
 COLUMNS = 500
-"""About how many blocks an overview is wide, or more."""
+"""About how many blocks an overview is wide."""
 
 STEEPEST_DEG = 70.0
 """To which slopes are limited: means over blocks are hardly ever so steep."""
@@ -202,7 +202,7 @@ class Enlarged:
 
 def block_edge(columns: int) -> int:
     """Edge of a block, px, of photographs so wide."""
-    return max(1, columns // COLUMNS)
+    return max(1, round(columns / COLUMNS))
 
 
 def _between(length: int, factor: int, blocks: int) -> tuple[Array, Array, Array]:

@@ -41,6 +41,7 @@ WHAT = {
     "height_uncertainty.tif": "standard uncertainty of the height after the best constant, float32",
     "confidence.tif": "standard uncertainty of each normal, degrees, float32",
     "trend.tif": "what detrending removed from the height, float32",
+    "known_heights.csv": "the heights that somebody measured, and the differences before and after, mm",
     "mesh.ply": "mesh with a vertex per pixel",
     "mesh.glb": "decimated mesh with the albedo as its texture, metres",
     "report.html": "pictures and numbers",

@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 MOST_DRIFT = 2.0
 """Percent by which lamps may have changed since the flats without a warning."""
 
-SOUND = 0.05
-"""Smoothed residual, percent of the albedo, above which the model does not fit; sound captures have 0.02."""
-
 MOST_MISSED = 0.1
 """Percent of the samples whose ray misses the flat, above which it is told."""
+
+MOST_STRANGE = 1.0
+"""Percent of pixels of another material above which it is told."""
 
 LEAST_LIGHT = 0.2
 """Percent of the mean flat above which light that is always there is told."""
@@ -60,7 +60,7 @@ def _level(known: Known | None, uncertainty: Array | None) -> list[Number]:
         Number(
             "Level",
             "Uncertainty of the height",
-            None if uncertainty is None else float(np.sqrt(np.mean(uncertainty[0].astype(float) ** 2))),
+            _typical(uncertainty),
             "mm",
             "Standard uncertainty of the smooth part of the height after the best constant, typically; "
             "height_uncertainty.tif has it for every pixel, with noise.",
@@ -68,9 +68,16 @@ def _level(known: Known | None, uncertainty: Array | None) -> list[Number]:
     ]
 
 
+def _typical(uncertainty: Array | None) -> float | None:
+    """Root mean square of the height's uncertainty; None where it is not known."""
+    if uncertainty is None or not np.isfinite(uncertainty[0]).all():
+        return None
+    return float(np.sqrt(np.mean(uncertainty[0].astype(float) ** 2)))
+
+
 def _light(known: Known | None) -> list[Number]:
     drift = additive = room = None
-    if known:
+    if known and known.residual is not None:
         strengths = known.shared.strengths
         drift = 100 * (float(np.exp(strengths.max())) - float(np.exp(strengths.min())))
         additive, room = 100 * known.shared.additive, 100 * known.shared.room
@@ -108,7 +115,7 @@ def _light(known: Known | None) -> list[Number]:
             "Of the mean flat, reflected by artwork and flat; as above.",
             warning=f"Artwork and flat reflect {room:.1f} % of light of the room, which the dark frame lacks: darken "
             "the room, and photograph artwork and flats again; the measurement was corrected for it."
-            if room is not None and room > LEAST_LIGHT
+            if room is not None and additive is not None and additive <= LEAST_LIGHT < room
             else "",
             code="additive-light",
         ),
@@ -117,7 +124,7 @@ def _light(known: Known | None) -> list[Number]:
 
 def _surface(known: Known | None) -> list[Number]:
     gloss = departure = flat = residual = strange = missed = None
-    if known:
+    if known and known.residual is not None and known.strange is not None:
         missed = 100 * known.unreached
         gloss = 4 * float(known.shared.gloss.sum())
         departure = known.shared.departure
@@ -156,10 +163,11 @@ def _surface(known: Known | None) -> list[Number]:
             "Smooth residual",
             residual,
             "%",
-            "What the model misses in patches of the field, as a share of the albedo; sound captures have 0.02.",
+            "What the model misses in patches of the field, as a share of the albedo; sound captures have 0.03 to "
+            "0.07.",
             warning=f"The photographs differ from the model by {residual:.2f} % in patches of the field: what the "
             "surface or the light does is not in the model. The uncertainties include it; no level is stated."
-            if residual is not None and residual > SOUND
+            if known and known.misfit
             else "",
             code="model-misfit",
         ),
@@ -169,6 +177,11 @@ def _surface(known: Known | None) -> list[Number]:
             strange,
             "%",
             "Pixels that reflect light unlike most, such as gold: they had no say in these numbers.",
+            warning=f"{strange:.0f} % of the pixels reflect light unlike the rest, as gold or a frame does: their "
+            "normals, and heights across them, are not measured as the others are; the height's uncertainty says so."
+            if strange is not None and strange > MOST_STRANGE
+            else "",
+            code="other-material",
         ),
         Number(
             "Surface",

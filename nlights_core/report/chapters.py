@@ -376,6 +376,12 @@ def chapters(views: Views, record: Mapping[str, Any]) -> list[Chapter]:
         )
         removed, trust = tuple(_removed(views, lamps)), tuple(_trust(views))
         photographs = tuple(_photographs(views, lamps))
+        if border := record.get("border"):
+            alt = "Small picture of the field, in red what seems to be no part of the artwork"
+            photographs = (
+                Picture("The artwork's border", border["sentence"], alt, border["image"]),
+                *photographs,
+            )
         surface, light = plotted.result()
     every = [
         Chapter("surface", "The surface", "", surface),

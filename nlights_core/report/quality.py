@@ -256,6 +256,42 @@ def measure(
     ]
 
 
+def of_known_heights(found: tuple[Array, Array] | None, source: str) -> list[Number]:
+    """Numbers of the heights that somebody measured, from their differences before and after; none without any."""
+    if found is None:
+        return []
+    before, after = (off[np.isfinite(off)] for off in found)
+
+    def typical(off: Array) -> float | None:
+        return 1.4826 * float(np.median(np.abs(off))) if off.size else None
+
+    return [
+        Number(
+            "Known heights",
+            "Points within the field",
+            float(before.size),
+            "points",
+            f"The height is tied to these points of {source}, of {len(found[0])}: its slow bends are theirs as "
+            "far as they are surer. known_heights.csv lists them.",
+        ),
+        Number(
+            "Known heights",
+            "Difference of the photographed height, typical",
+            typical(before),
+            "mm",
+            "How far the photographed height was from them after the best constant: 1.48 times the median, which is "
+            "the standard deviation where nothing is odd.",
+        ),
+        Number(
+            "Known heights",
+            "Difference of the tied height, typical",
+            typical(after),
+            "mm",
+            "The same of the height as it leaves the system.",
+        ),
+    ]
+
+
 def grouped(numbers: Sequence[Number]) -> list[Number]:
     """The same numbers with those of a group together, groups in the order of their first."""
     groups = list(dict.fromkeys(number.group for number in numbers))

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import base64
 import json
+import shutil
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, replace
@@ -10,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from nlights_core import __version__
+from nlights_core.agreement.borders import PICTURE, read_proposal
 from nlights_core.calibration.record import read_calibration, read_uncertainty
 from nlights_core.capture import Tile
 from nlights_core.capture_warnings import CaptureWarning, read_warnings, write_warnings
@@ -17,6 +20,7 @@ from nlights_core.fields import LightField
 from nlights_core.files import tiffs
 from nlights_core.files.arrays import read_array
 from nlights_core.frames import Array, PixelGrid
+from nlights_core.integration.known_heights import DIFFERENCES, read_differences
 from nlights_core.lamps.emission import read_stand_check
 from nlights_core.near_light.position_uncertainty import position_uncertainty
 from nlights_core.photographs.flat_fields import read_flat_field
@@ -61,6 +65,7 @@ def write_report(
     inside = Mask(tile.mask).pixels if tile.mask else None
     white = white_reflectance(store, normals)
     files = [*made["maps"].iterdir(), *made["mesh"].iterdir()]
+    border = tile.mask.parent if tile.auto_mask and tile.mask else made["agreement"]
     said = {
         "artwork": tile.artwork,
         "title": tile.title,
@@ -73,6 +78,7 @@ def write_report(
         "lamps": list(tile.lamps),
         "lights": json.loads((made["lights"] / "lights.json").read_text()),
         "mesh": json.loads((made["mesh"] / "mesh.json").read_text()),
+        "border": _border(border, tile.auto_mask),
         "version": __version__,
         "key": record["key"],
         "files": [
@@ -89,6 +95,11 @@ def write_report(
             numbers += of_calibration(
                 read_calibration(made["calibration"]), read_uncertainty(made["calibration"])
             )
+        if "trend" in made:
+            source = tile.known_heights.file.name if tile.known_heights else ""
+            numbers += quality.of_known_heights(read_differences(made["trend"]), source)
+            if (made["trend"] / DIFFERENCES).is_file():
+                shutil.copyfile(made["trend"] / DIFFERENCES, folder / DIFFERENCES)
         places = [store.root / place for place in records if place != agreement.folder]
         others = [warning for place in places for warning in read_warnings(place)]
         photographs = read_warnings(made["agreement"])
@@ -110,6 +121,19 @@ def write_report(
     }
     _write_json(folder / "quality.json", [asdict(number) for number in numbers])
     _write_json(folder / "provenance.json", provenance)
+
+
+def _border(folder: Path, used: bool) -> dict[str, str] | None:
+    """Words and picture of what is, or may be, no part of the artwork; None where nothing was found."""
+    sentence = read_proposal(folder)
+    if not sentence:
+        return None
+    if used:
+        sentence = (
+            "What is red is no part of the artwork as far as the photographs tell: left out (mask: auto)."
+        )
+    image = base64.b64encode((folder / PICTURE).read_bytes()).decode()
+    return {"sentence": sentence, "image": f"data:image/png;base64,{image}"}
 
 
 def _numbers(

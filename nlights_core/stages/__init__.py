@@ -13,6 +13,7 @@ from nlights_core.stages.height import height
 from nlights_core.stages.level import level
 from nlights_core.stages.lights import lights
 from nlights_core.stages.maps import maps
+from nlights_core.stages.mask import mask
 from nlights_core.stages.mesh import mesh
 from nlights_core.stages.normals import normals
 from nlights_core.stages.overview import overview
@@ -28,6 +29,7 @@ __all__ = [
     "level",
     "lights",
     "maps",
+    "mask",
     "mesh",
     "normals",
     "overview",

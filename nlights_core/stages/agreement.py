@@ -5,11 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from nlights_core.agreement.borders import find_border, write_border
 from nlights_core.agreement.examination import examine_photographs
+from nlights_core.agreement.samples import Samples
 from nlights_core.capture import Tile
 from nlights_core.capture_warnings import write_warnings
 from nlights_core.machine.progress import Progress
-from nlights_core.stages.inputs import facts_of_photographs, read_lights
+from nlights_core.stages.inputs import facts_of_photographs, read_lights, with_mask
 from nlights_core.store import ArtefactRef, Store, Work, describe
 
 RESTS_ON = ("agreement", "capture_warnings", "lamps", "photographs")
@@ -19,8 +21,10 @@ RESTS_ON = ("agreement", "capture_warnings", "lamps", "photographs")
 def agreement(store: Store, tile: Tile, lights: ArtefactRef, flats: bool) -> Work:
     """Agreement of the photographs with one another and with their flats: ``warnings.json``.
 
+    Where there is no mask, ``border.json`` proposes what may be no part of the artwork, if anything is.
     Nothing that is measured rests on it.  ``flats``: whether the recipe uses the photographs of the flat.
     """
+    tile = with_mask(store, tile)
     facts: dict[str, Any] = facts_of_photographs(store, tile, "frames")
     if flats:
         facts |= facts_of_photographs(store, tile, "flats")
@@ -39,7 +43,12 @@ def agreement(store: Store, tile: Tile, lights: ArtefactRef, flats: bool) -> Wor
 
     def make(folder: Path, progress: Progress) -> None:
         field = read_lights(store, lights)
+
+        def propose(samples: Samples) -> None:
+            if not tile.mask:
+                write_border(folder, find_border(samples))
+
         with store.scratch() as scratch:
-            write_warnings(folder, examine_photographs(tile, field, flats, scratch, progress))
+            write_warnings(folder, examine_photographs(tile, field, flats, scratch, progress, propose))
 
     return Work(ref, record, make)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from nlights_core.calibration.correction import unreached
 from nlights_core.calibration.fitting import calibrate
-from nlights_core.calibration.record import NOISIER, write_calibration
+from nlights_core.calibration.record import NOISIER, write_calibration, write_nothing
 from nlights_core.calibration.two_rings import compare_halves
 from nlights_core.calibration.uncertainty import smooth_errors
 from nlights_core.capture import Tile
@@ -15,7 +15,7 @@ from nlights_core.near_light.overview import reduced_room
 from nlights_core.photographs.development import Darkroom, darkroom
 from nlights_core.photographs.flat_fields import read_flat_field
 from nlights_core.photographs.noise import Noise, measure_noise_between_lamps, read_noise, write_noise
-from nlights_core.stages.inputs import facts_of_photographs, read_lights
+from nlights_core.stages.inputs import facts_of_photographs, read_lights, with_mask
 from nlights_core.store import ArtefactRef, Store, Work, describe
 
 RESTS_ON = ("calibration", "integration", "near_light", "photographs", "solving")
@@ -25,10 +25,12 @@ RESTS_ON = ("calibration", "integration", "near_light", "photographs", "solving"
 def calibration(
     store: Store, tile: Tile, lights: ArtefactRef, flat_field: ArtefactRef, groups: tuple[str, ...]
 ) -> Work:
-    """Unknowns that all pixels share, ``calibration.json`` and ``noise.json``; a coarse height and its uncertainty.
+    """Values that all pixels share, ``calibration.json`` and ``noise.json``; a coarse height and its uncertainty.
 
-    See `nlights_core.calibration`.  ``groups`` are what may be believed of the photographs, beside the level.
+    See `nlights_core.calibration`.  ``groups`` are what may be believed of the photographs, and "level" where that is
+    sought.  Distant lamps light all heights alike: of them nothing is sought.
     """
+    tile = with_mask(store, tile)
     facts = facts_of_photographs(store, tile, "frames") | {"groups": list(groups)}
     facts["flats_averaged"] = tile.flats_averaged
     inputs = {"lights": lights, "flat_field": flat_field}
@@ -41,6 +43,10 @@ def calibration(
         with store.scratch() as scratch, darkroom(tile, scratch) as room:
             room.noise, noisier = _noise(tile, room, read_noise(store.path(flat_field)))
             write_noise(folder, room.noise)
+            grid = room.grid
+            if not field.near or grid.unit != "mm":
+                write_nothing(folder, len(field.lamps), grid, noisier)
+                return
             small = reduced_room(room, lambda share: progress(0.5 * share))
         found = calibrate(small, field, divisor, groups, lambda share: progress(0.5 + 0.5 * share))
         missed = unreached(small.grid, found.height, field)

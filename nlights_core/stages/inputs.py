@@ -39,13 +39,27 @@ def facts_of_photographs(store: Store, tile: Tile, which: str) -> dict[str, Any]
     return stated | {
         which: digests,
         "dark": store.digest(tile.dark) if tile.dark else None,
-        "mask": store.digest(tile.mask) if tile.mask and which == "frames" else None,
+        "mask": _mask(store, tile) if which == "frames" else None,
         "encoding": tile.encoding.model_dump(mode="json"),
         "sensor": tile.sensor.model_dump(mode="json") if tile.sensor else None,
         "field_mm": stand.field_mm if stand else None,
         "camera": stand.camera_position.tolist() if stand else None,
         "pixel_size_mm": tile.pixel_size_mm,
     }
+
+
+def with_mask(store: Store, tile: Tile) -> Tile:
+    """The same tile, the path of its mask whole: one that was found here lies in the store."""
+    if tile.mask is None or tile.mask.is_absolute():
+        return tile
+    return tile.model_copy(update={"mask": store.root.absolute() / tile.mask})
+
+
+def _mask(store: Store, tile: Tile) -> str | None:
+    """Name of a mask for a key: its digest, or of one that was found here the name of its artefact."""
+    if tile.mask is None:
+        return None
+    return tile.mask.parent.name if tile.auto_mask else store.digest(tile.mask)
 
 
 def size(tile: Tile) -> list[int]:

@@ -17,7 +17,7 @@ from nlights_core.photographs.development import bands_of_grid
 from nlights_core.photographs.headers import grid_of, survey
 from nlights_core.store import ArtefactRef, Store, Work, describe
 
-RESTS_ON = ("integration", "near_light", "photographs")
+RESTS_ON = ("integration", "near_light", "photographs", "solving")
 """Departments whose code decides the result, beside what all results rest on."""
 
 

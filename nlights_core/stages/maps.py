@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from nlights_core.calibration.record import read_uncertainty
 from nlights_core.capture import Tile
 from nlights_core.files.arrays import read_array
@@ -45,6 +47,7 @@ def maps(
     ref, record = describe("maps", tile.artwork, tile.name, rests_on=RESTS_ON, inputs=inputs, facts=facts)
 
     def make(folder: Path, progress: Progress) -> None:
+        shared = read_uncertainty(store.path(calibration)) if calibration else None
         write_maps(
             folder,
             open_maps(store, normals, height, trend),
@@ -55,7 +58,7 @@ def maps(
             integrated=read_array(store.path(integrated) / "height.npy") if integrated else None,
             perspective=perspective,
             compression=compression,
-            shared=read_uncertainty(store.path(calibration)) if calibration else None,
+            shared=shared if shared is not None and np.isfinite(shared).all() else None,
         )
 
     return Work(ref, record, make)

@@ -21,7 +21,7 @@ from nlights_core.photographs.flat_fields import read_flat_field
 from nlights_core.photographs.headers import grid_of, survey
 from nlights_core.photographs.noise import read_noise
 from nlights_core.solving import band_solving
-from nlights_core.stages.inputs import facts_of_photographs, read_lights
+from nlights_core.stages.inputs import facts_of_photographs, read_lights, with_mask
 from nlights_core.store import ArtefactRef, Store, Work, describe
 
 RESTS_ON = ("calibration", "integration", "near_light", "photographs", "solving")
@@ -44,6 +44,7 @@ def normals(
     photographs, and their noise is what it says.  ``photographed``: the flat field is, so that it
     makes the albedo absolute.
     """
+    tile = with_mask(store, tile)
     facts = facts_of_photographs(store, tile, "frames")
     white = facts["white_reflectance"] = tile.white_reflectance if photographed else None
     inputs = {"lights": lights, "flat_field": flat_field, "bias": bias, "height": height}

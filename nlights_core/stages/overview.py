@@ -12,7 +12,7 @@ from nlights_core.near_light.overview import solve_overview as find_overview
 from nlights_core.photographs.development import darkroom
 from nlights_core.photographs.flat_fields import read_flat_field
 from nlights_core.photographs.noise import read_noise
-from nlights_core.stages.inputs import facts_of_photographs, read_lights
+from nlights_core.stages.inputs import facts_of_photographs, read_lights, with_mask
 from nlights_core.store import ArtefactRef, Store, Work, describe
 
 RESTS_ON = ("integration", "near_light", "photographs", "solving")
@@ -26,6 +26,7 @@ def overview(
 
     See `nlights_core.near_light.overview`.
     """
+    tile = with_mask(store, tile)
     facts = facts_of_photographs(store, tile, "frames") | {"passes": passes}
     inputs = {"lights": lights, "flat_field": flat_field}
     ref, record = describe("overview", tile.artwork, tile.name, rests_on=RESTS_ON, inputs=inputs, facts=facts)

@@ -9,9 +9,11 @@ from nlights_core.capture import Tile
 from nlights_core.machine.progress import Progress
 from nlights_core.photographs.headers import grid_of, survey
 from nlights_core.report.writing import write_report
+from nlights_core.stages.inputs import with_mask
 from nlights_core.store import ArtefactRef, Store, Work, describe
 
 RESTS_ON = (
+    "agreement",
     "calibration",
     "capture_warnings",
     "integration",
@@ -41,6 +43,7 @@ def report(
     calibration: ArtefactRef | None = None,
 ) -> Work:
     """Products for people: ``report.html``, ``quality.json``, ``warnings.json``, ``provenance.json``."""
+    tile = with_mask(store, tile)
     inputs = {
         "lights": lights,
         "flat_field": flat_field,

@@ -14,6 +14,7 @@ def nlights_algorithms() -> Iterable[type[Algorithm]]:
     from nlights_plugins.height_detrends import ParabolicFit
     from nlights_plugins.image_detrends import InverseSquare, PhotographedFlats
     from nlights_plugins.integrators import FrankotChellappa, Simchony
+    from nlights_plugins.known_heights import TiedToKnownHeights
     from nlights_plugins.least_squares import LeastSquares
     from nlights_plugins.measured_poi import MeasuredPoi
     from nlights_plugins.median_of_triplets import MedianOfTriplets
@@ -37,4 +38,5 @@ def nlights_algorithms() -> Iterable[type[Algorithm]]:
         FrankotChellappa,
         Simchony,
         ParabolicFit,
+        TiedToKnownHeights,
     ]

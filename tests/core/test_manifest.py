@@ -89,6 +89,13 @@ def test_a_stand_given_on_the_command_line_replaces_the_manifests(tmp_path):
         ("frames:\n" + EIGHT + "flats: {Relio_1: a, Relio_2: b, Relio_3: c}\n", ["lacks Relio_4"]),
         ("frames:\n" + EIGHT + "white_reflectance: 1.5\n", ["white_reflectance", "at most 1", "1.5"]),
         ("frames:\n" + EIGHT + "tiles: [{name: a, origin_mm: [.nan, 0]}]\n", ["origin_mm"]),
+        ("frames:\n" + EIGHT + "known_heights: {file: scan.ply}\n", ["known_heights", "sigma_mm is missing"]),
+        ("frames:\n" + EIGHT + "known_heights: {file: ../probe.csv}\n", ["outside the capture root"]),
+        ("frames:\n" + EIGHT + "known_heights: {file: a.csv, sigma_mm: 0}\n", ["sigma_mm", "more than 0"]),
+        (
+            "frames:\n" + EIGHT + "known_heights: {file: a.csv, tilt: 1}\n",
+            ["known_heights.tilt", "unknown field"],
+        ),
         ("{}\n", ["frames: is missing"]),
     ],
 )
@@ -96,6 +103,19 @@ def test_a_fault_is_told_with_field_found_and_allowed(tmp_path, text, words):
     said = refused(tmp_path, "artwork: {id: inv-1}\nstand: horizontal\n" + text.replace("{}\n", ""))
     for word in words:
         assert word in said, said
+
+
+def test_a_mask_may_be_left_to_the_photographs_by_all_tiles_or_by_one(tmp_path):
+    text = "artwork: {id: inv-1}\nstand: horizontal\nframes:\n" + EIGHT
+    (tile,) = load_capture(write(tmp_path, text + "mask: auto\n"))
+    assert (tile.auto_mask, tile.mask) == (True, None)
+    tiles = load_capture(
+        write(tmp_path, text + "mask: auto\ntiles: [{name: a}, {name: b, mask: mine.png}]\n")
+    )
+    assert [(tile.auto_mask, tile.mask and tile.mask.name) for tile in tiles] == [
+        (True, None),
+        (False, "mine.png"),
+    ]
 
 
 def test_every_fault_is_told_at_once(tmp_path):

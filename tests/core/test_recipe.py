@@ -111,6 +111,55 @@ def test_what_a_file_would_hold_is_a_recipe_too():
     assert all(line.startswith("mine: ") for line in said)
 
 
+LEAST = {"light_model": "measured-poi", "normals": "robust", "integrator": "simchony"}
+EVERYTHING = ("level", "lamps", "gloss", "departure", "ambient", "flat-gloss")
+
+
+@pytest.mark.parametrize(
+    ("given", "sought"),
+    [
+        ({}, None),
+        ({"calibration": "none"}, None),
+        ({"calibration": {}}, EVERYTHING),
+        ({"calibration": {"level": False}}, EVERYTHING[1:]),
+        ({"calibration": {"gloss": False, "lamps": False}}, ("level", "departure", "ambient")),
+        ({"calibration": dict.fromkeys(("level", "lamps", "gloss", "departure", "ambient"), False)}, ()),
+    ],
+)
+def test_a_recipe_says_what_is_sought_in_a_tiles_own_photographs(given, sought):
+    recipe = load_recipe({**LEAST, **given})
+    assert (recipe.calibration and recipe.calibration.groups()) == sought
+    again = load_recipe({**recipe.record(), "name": recipe.name})
+    assert again == recipe
+    assert (
+        recipe.record()["calibration"] == "none"
+        if sought is None
+        else {"level", "lamps"} < set(recipe.record()["calibration"])
+    )
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ("nonne", "calibration: should be none, or a mapping of level, lamps, .* true or false; got 'nonne'"),
+        (True, "calibration: should be none, or a mapping of .*; got True"),
+        (["level"], r"calibration: should be none, or a mapping of .*; got \['level'\]"),
+        ({"lamp": True}, "calibration.lamp: unknown field; did you mean 'lamps'.*: level, lamps, gloss, "),
+        ({"level": "perhaps"}, "calibration.level: .*; got 'perhaps'"),
+        ({"gloss": 3}, "calibration.gloss: .*; got 3"),
+    ],
+)
+def test_what_a_calibration_cannot_seek_is_named(given, said):
+    with pytest.raises(RecipeError, match=said):
+        load_recipe({**LEAST, "calibration": given})
+
+
+def test_the_default_seeks_everything_and_recipes_of_others_nothing():
+    assert load_recipe("default").calibration.groups() == EVERYTHING
+    for name in ("paper", "paper-compensated", "psbox"):
+        assert load_recipe(name).calibration is None
+
+
 def test_an_algorithm_is_chosen_outside_a_recipe_as_in_one():
     assert (
         choose("detrend.height", "parabolic-fit", {}, "trial")

@@ -11,6 +11,7 @@ from nlights_plugins.given_directions import GivenDirections
 from nlights_plugins.height_detrends import ParabolicFit
 from nlights_plugins.image_detrends import InverseSquare, PhotographedFlats
 from nlights_plugins.integrators import FrankotChellappa, Simchony
+from nlights_plugins.known_heights import TiedToKnownHeights
 from nlights_plugins.least_squares import LeastSquares
 from nlights_plugins.measured_poi import MeasuredPoi
 from nlights_plugins.median_of_triplets import MedianOfTriplets
@@ -74,6 +75,10 @@ class TestFrankotChellappa(contracts.IntegratorContract):
 
 class TestParabolicFit(contracts.HeightDetrendContract):
     algorithm = ParabolicFit()
+
+
+class TestTiedToKnownHeights(contracts.HeightDetrendContract):
+    algorithm = TiedToKnownHeights()
 
 
 class TestGivenDirections(contracts.LightModelContract):

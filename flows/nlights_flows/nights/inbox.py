@@ -242,6 +242,7 @@ def photographs_of(tile: Tile) -> list[Path]:
     """Every file that a tile may be made of."""
     spheres = [path for sphere in tile.spheres for path in sphere.frames.values()]
     single = [path for path in (tile.dark, tile.mask) if path]
+    single += [tile.known_heights.file] if tile.known_heights else []
     return [*tile.frames.values(), *(tile.flats or {}).values(), *spheres, *single]
 
 

@@ -1,11 +1,13 @@
 """The chain of stages, once, in reading order."""
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from nlights_core import stages
 from nlights_core.capture import Tile
 from nlights_core.recipe import Recipe
+from nlights_core.stages.mask import FILE as MASK
 from nlights_core.store import ArtefactRef
 
 Call = Callable[..., ArtefactRef]
@@ -38,20 +40,24 @@ def digitise_tile(
     lights = call(stages.lights, tile, recipe.light_model)
     flat_field = call(stages.flat_field, tile, detrend.images, lights) if detrend.images else None
     flats = any("flats" in algorithm.needs for algorithm in recipe.algorithms())
-    agreement = call(stages.agreement, tile, lights, flats)
+    seen = tile
+    if tile.auto_mask:
+        found = call(stages.mask, tile, flats)
+        seen = tile.model_copy(update={"mask": Path(found.folder) / MASK})
+    agreement = call(stages.agreement, seen, lights, flats)
     bias = overview = trend = None
     if detrend.normals:
         bias = call(stages.bias, tile, detrend.normals, recipe.normals, lights, flat_field)
     calibration = None
     if _calibrates(recipe):
         assert recipe.calibration
-        calibration = call(stages.calibration, tile, lights, flat_field, recipe.calibration.groups())
+        calibration = call(stages.calibration, seen, lights, flat_field, recipe.calibration.groups())
     elif recipe.passes > 1:
-        overview = call(stages.overview, tile, lights, flat_field, recipe.passes - 1)
+        overview = call(stages.overview, seen, lights, flat_field, recipe.passes - 1)
     # Only a photographed flat knows what white is.
     white = detrend.images is not None and "flats" in detrend.images.needs
     normals = call(
-        stages.normals, tile, recipe.normals, lights, flat_field, bias, calibration or overview, white
+        stages.normals, seen, recipe.normals, lights, flat_field, bias, calibration or overview, white
     )
     height = integrated = call(stages.height, tile, recipe.integrator, normals)
     if detrend.height:
@@ -66,7 +72,7 @@ def digitise_tile(
     record = recipe_record(recipe)
     report = call(
         stages.report,
-        tile,
+        seen,
         record,
         lights,
         flat_field,
@@ -87,12 +93,14 @@ def recipe_record(recipe: Recipe) -> dict[str, Any]:
     return {"name": recipe.name, **recipe.record()}
 
 
-def steps(recipe: Recipe) -> int:
+def steps(recipe: Recipe, auto_mask: bool = False) -> int:
     """Number of stages that the chain calls for a tile, for a progress bar."""
     detrend = recipe.detrend
     optional = (detrend.images, detrend.normals, detrend.height)
     calibrates = _calibrates(recipe)
-    return 7 + sum(part is not None for part in optional) + (2 if calibrates else recipe.passes > 1)
+    return (
+        7 + auto_mask + sum(part is not None for part in optional) + (2 if calibrates else recipe.passes > 1)
+    )
 
 
 def _calibrates(recipe: Recipe) -> bool:

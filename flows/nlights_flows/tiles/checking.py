@@ -12,11 +12,13 @@ from typing import Any
 
 import numpy as np
 
+from nlights_core.agreement.borders import read_proposal
 from nlights_core.agreement.examination import examine_photographs
 from nlights_core.capture import Encoding, Tile
 from nlights_core.capture_warnings import CaptureWarning, read_warnings
 from nlights_core.errors import NlightsError, TileError
 from nlights_core.fields import LightField
+from nlights_core.integration.known_heights import read_known_heights
 from nlights_core.photographs.development import Darkroom, Exposure, bands_of_grid, darkroom
 from nlights_core.photographs.headers import grid_of, survey
 from nlights_core.photographs.images import Photograph, probe
@@ -28,7 +30,7 @@ from nlights_flows.tiles.chain import digitise_tile
 from nlights_flows.tiles.explaining import explain_fault
 from nlights_flows.tiles.running import require_memory
 
-MADE = ("lights", "flat_field", "agreement")
+MADE = ("lights", "flat_field", "mask", "agreement")
 """Stages that a check really makes: they say whether the lamps are known, the flats can be used and the photographs
 agree, and cost little.
 All others are named only, which reads what their names are made of: the digests of the photographs."""
@@ -53,6 +55,8 @@ class Finding:
         By lamp, for the frames.
     warnings : list of CaptureWarning
         What the photographs show that nobody meant.
+    proposal : str
+        What seems to be no part of the artwork, in a sentence; empty where nothing does.
     problems : list of str
         Sentences, each once; empty when the tile can be digitised.
     """
@@ -61,6 +65,7 @@ class Finding:
     size: str = ""
     exposures: dict[str, Exposure] = field(default_factory=dict)
     warnings: list[CaptureWarning] = field(default_factory=list)
+    proposal: str = ""
     problems: list[str] = field(default_factory=list)
 
     def record(self) -> dict[str, Any]:
@@ -69,6 +74,7 @@ class Finding:
             "tile": self.tile,
             "problems": self.problems,
             "warnings": [warning.record() for warning in self.warnings],
+            "proposal": self.proposal,
         }
 
 
@@ -124,6 +130,8 @@ def check_tile(tile: Tile, recipe: Recipe, progress: Callable[[float], None]) ->
                     progress(0.9 * (i + part) / (1 + flats))
 
                 _read(tile, which, store, finding, share)
+        if tile.known_heights and recipe.needs("known_heights"):
+            _answered(finding, store, partial(read_known_heights, tile.known_heights))
         made = {} if lacking else _ask_chain(tile, recipe, store, finding, MADE if fit else ("lights",))
         _warn(tile, fit, flats, store, made, finding)
         progress(1.0)
@@ -143,6 +151,8 @@ def _warn(
                 finding.warnings += examine_photographs(tile, None, flats, place)
 
         _answered(finding, store, examined)
+    if "agreement" in made:
+        finding.proposal = read_proposal(store.path(made["agreement"]))
     for stage in sorted(made):  # agreement before all others
         finding.warnings += read_warnings(store.path(made[stage]))
 
@@ -234,7 +244,8 @@ def _ask_chain(
             work = stage(store, tile, *arguments)
             ref = work.ref
             inputs = [argument for argument in arguments if isinstance(argument, ArtefactRef)]
-            if stage.__name__ in made and all(store.has(one) for one in inputs):
+            masked = tile.mask is None or not tile.auto_mask or (store.root / tile.mask).exists()
+            if stage.__name__ in made and masked and all(store.has(one) for one in inputs):
                 isolation.ensure(store, work, tile, arguments)
                 there[ref.stage] = ref
 

@@ -77,7 +77,7 @@ class TileProgress:
     """
 
     def __init__(self, recipe: Recipe, tiles: Sequence[Tile], shown: bool = True) -> None:
-        self._steps, self._tiles = steps(recipe), len(tiles)
+        self._steps, self._tiles = steps(recipe, any(tile.auto_mask for tile in tiles)), len(tiles)
         self._progress = Progress(*_columns(), console=Console(stderr=True), transient=True)
         self._live = shown and _has_bars(self._progress.console)
         self._lines = shown and not self._live
@@ -207,6 +207,8 @@ def show_findings(findings: Sequence[Finding]) -> None:
             complain(f"{finding.tile}: warning: {warning.code}{lamps}: {warning.sentence}")
         for problem in finding.problems:
             complain(f"{finding.tile}: {problem}")
+        if finding.proposal:
+            print(f"{finding.tile}: {finding.proposal}")
         print(f"{finding.tile}: {'cannot be digitised' if finding.problems else 'can be digitised'}")
 
 

@@ -7,7 +7,6 @@ import pytest
 
 from nlights_core.files import reduction
 from nlights_core.frames import PixelGrid
-from nlights_core.near_light.levelling import Level
 from nlights_core.report import map_statistics
 from nlights_core.report.agreement_quality import of_agreement
 from nlights_core.report.figures import Number, figure_of
@@ -19,7 +18,7 @@ from nlights_core.report.map_statistics import (
     relief,
     unevenness,
 )
-from nlights_core.report.quality import measure, of_level
+from nlights_core.report.quality import measure
 from nlights_core.solving.agreement import Agreement
 
 GRID = PixelGrid(60, 80, 0.5)
@@ -181,13 +180,6 @@ def test_a_step_that_the_recipe_lacks_is_told_from_one_that_found_nothing():
         removed = [n for n in measure(maps, GRID) if n.group == "Removed"]
         assert [(n.value, n.missing) for n in removed] == [(None, said)] * 3
     assert Number("Light", "Glow", None, "%", "Nothing.").missing == "not measured"
-
-
-def test_the_level_is_a_number_only_where_it_was_found():
-    found = of_level(Level(0.02, 0.04, np.array([1.01, 0.99, 1.0])))
-    assert [n.value for n in found] == pytest.approx([0.02, 0.04, 2.0])
-    hidden = of_level(Level(0.0, None, np.ones(3)))
-    assert [(n.value, n.missing) for n in hidden] == [(None, "not measured")] * 3
 
 
 @pytest.mark.parametrize(

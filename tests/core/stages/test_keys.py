@@ -89,9 +89,15 @@ def test_what_plugins_may_import_is_within_what_the_key_of_somebody_elses_holds(
     assert unnamed(reached, {*sources.EVERYTHING_RESTS_ON, *registry.PLUGINS_REST_ON}) == set()
 
 
+TWO_PASSES = load_recipe(
+    {**load_recipe("default").record(), "name": "two-passes", "calibration": "none", "passes": 2}
+)
+"""What has an overview in place of a calibration."""
+
+
 @pytest.fixture
 def keys(capture, tmp_path, monkeypatch):
-    """The keys of the stages of a capture by all shipped recipes, by the code of a copy of the core."""
+    """The keys of all stages of a capture, in some recipes, by the code of a copy of the core."""
     copy = tmp_path / "core"
     shutil.copytree(sources.CORE, copy, ignore=shutil.ignore_patterns("__pycache__"))
     monkeypatch.setattr(sources, "CORE", copy)
@@ -101,9 +107,16 @@ def keys(capture, tmp_path, monkeypatch):
     def found() -> dict[str, str]:
         sources._digest_of_place.cache_clear()
         registry.code_digest.cache_clear()
-        for name in ("default", "paper"):
-            steps = planning.plan(tile, load_recipe(name), Store(tmp_path / "store"))
-            own.update({f"{name} {step.ref.stage}": step.ref.key for step in steps})
+        unmasked = tile.model_copy(update={"auto_mask": True})
+        default, paper = load_recipe("default"), load_recipe("paper")
+        for which, recipe, one in (
+            ("", default, tile),
+            ("", paper, tile),
+            ("", TWO_PASSES, tile),
+            ("auto-", default, unmasked),
+        ):
+            steps = planning.plan(one, recipe, Store(tmp_path / "store"))
+            own.update({f"{which}{recipe.name} {step.ref.stage}": step.ref.key for step in steps})
         return dict(own)
 
     yield copy, found
@@ -137,9 +150,9 @@ def test_a_changed_kernel_of_the_solver_costs_what_follows_from_it(keys):
     kernel.write_text(kernel.read_text() + "\n# faster\n")
     after = found()
     assert changed(before, after) == {
-        "overview", "bias", "normals", "height", "trend", "level", "maps", "mesh", "report"
+        "overview", "calibration", "bias", "normals", "height", "trend", "level", "maps", "mesh", "report"
     }  # fmt: skip
-    for recipe in ("default", "paper"):
+    for recipe in ("default", "paper", "two-passes"):
         for stage in ("lights", "flat_field"):
             assert before[f"{recipe} {stage}"] == after[f"{recipe} {stage}"]
 

@@ -124,13 +124,13 @@ def test_a_variant_recomputes_only_what_differs(digitised, painting, tmp_path):
     recipe = tmp_path / "variant.yaml"
     recipe.write_text(
         "light_model: {use: measured-poi}\ndetrend: {images: {use: flat-field}}\n"
-        "normals: {use: robust}\nintegrator: {use: simchony, stencil: trapezoid}\npasses: 3\n"
+        "normals: {use: robust}\nintegrator: {use: simchony, stencil: trapezoid}\ncalibration: {}\n"
     )
     done = nlights("plan", painting, "--out", digitised, "--recipe", recipe)
     rows = {line.split()[0]: line for line in done.stdout.splitlines() if len(line.split()) > 2}
-    for stage in ("lights", "flat_field", "overview", "normals"):
+    for stage in ("lights", "flat_field", "calibration", "normals"):
         assert "exists" in rows[stage]
-    for stage in ("height", "maps", "mesh", "report"):
+    for stage in ("height", "level", "maps", "mesh", "report"):
         assert "to be made" in rows[stage]
     assert "algorithm.options.stencil" in rows["height"]
 

@@ -198,10 +198,10 @@ def test_json_has_one_shape_and_nothing_else_on_the_standard_output(two_tiles):
     found = json.loads(done.stdout)
     assert list(found) == ["tiles"]
     assert [tile["tile"] for tile in found["tiles"]] == ["a", "b"]
-    assert all(list(tile) == ["tile", "problems", "warnings"] for tile in found["tiles"])
+    assert all(list(tile) == ["tile", "problems", "warnings", "proposal"] for tile in found["tiles"])
     (problem,) = found["tiles"][0]["problems"]
     assert "frames.Relio_3: all black" in problem
-    assert found["tiles"][1] == {"tile": "b", "problems": [], "warnings": []}
+    assert found["tiles"][1] == {"tile": "b", "problems": [], "warnings": [], "proposal": ""}
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 NLIGHTS = Path(sys.executable).parent / "nlights"
-STAGES = ("lights", "flat_field", "overview", "normals", "height", "maps", "mesh", "report")
+STAGES = ("lights", "flat_field", "calibration", "normals", "height", "level", "maps", "mesh", "report")
 
 
 def command(capture: Path, out: Path) -> list[str]:

@@ -1,0 +1,81 @@
+"""Products of calibrated tiles: nearer to the truth than without, and as uncertain as they say."""
+
+import json
+
+import numpy as np
+import pytest
+import tifffile
+
+from nlights_core.recipe import load_recipe
+from nlights_core.simulation.evaluation import evaluate
+
+
+def test_varnish_is_measured_much_better_than_without_a_calibration(varnished, without_calibration):
+    capture, _ = varnished
+    calibrated, plain = (
+        evaluate(capture.products(recipe), capture.folder / "truth")
+        for recipe in (load_recipe("default"), without_calibration)
+    )
+    assert calibrated["angle_mean_deg"] < 0.6 * plain["angle_mean_deg"]
+    assert calibrated["height_rms_mm"] < 0.5 * plain["height_rms_mm"]
+    assert calibrated["known_share"] > 0.99
+    assert calibrated["height_coverage"] > 0.5
+    assert calibrated["normals_coverage"] > 0.5
+
+
+def test_satin_paint_is_measured_as_well_as_matt_paint(simulated, satin, matt):
+    capture = simulated(paint=satin(0.04, 0.35), seed=4)
+    glossy, sound = (
+        evaluate(one.products(load_recipe("default")), one.folder / "truth") for one in (capture, matt[0])
+    )
+    assert glossy["angle_mean_deg"] < 1.25 * sound["angle_mean_deg"]
+    assert glossy["height_rms_mm"] < 0.03
+    for found in (glossy, sound):
+        assert 0.5 < found["height_coverage"] <= 1
+        assert 0.6 < found["normals_coverage"] < 0.85
+
+
+def test_a_matt_tile_is_no_worse_for_being_calibrated(matt, without_calibration):
+    capture, _ = matt
+    calibrated, plain = (
+        evaluate(capture.products(recipe), capture.folder / "truth")
+        for recipe in (load_recipe("default"), without_calibration)
+    )
+    assert calibrated["angle_mean_deg"] < 1.03 * plain["angle_mean_deg"]
+    assert calibrated["height_rms_mm"] < 0.01
+
+
+def test_the_height_counts_from_the_plane_of_the_flat(simulated):
+    capture = simulated(level=4.0, width=200)
+    maps = capture.products(load_recipe("default"))
+    found, truth = tifffile.imread(maps / "height.tif"), capture.height
+    known = np.isfinite(found)
+    # Where lamps' rays meet the flat's plane beside it a pixel may have too few lights left.
+    assert known.mean() > 0.95
+    assert np.median((found - truth)[known]) == pytest.approx(0, abs=0.1)
+    assert (found - truth)[known].std() < 0.03
+
+
+def test_a_height_is_uncertain_everywhere_where_it_is_known(matt):
+    capture, scene = matt
+    maps = capture.products(load_recipe("default"))
+    stated = tifffile.imread(maps / "height_uncertainty.tif")
+    height = tifffile.imread(maps / "height.tif")
+    assert (stated.shape, stated.dtype) == (height.shape, np.float32)
+    np.testing.assert_array_equal(np.isnan(stated), np.isnan(height))
+    assert stated[np.isfinite(stated)].min() > scene.errors.height.min()
+    confidence = tifffile.imread(maps / "confidence.tif")
+    assert np.isfinite(confidence).mean() > 0.99
+
+
+def test_without_a_calibration_no_uncertainty_of_the_height_is_stated(matt, without_calibration):
+    capture, _ = matt
+    assert not (capture.products(without_calibration) / "height_uncertainty.tif").exists()
+
+
+def test_the_store_says_what_was_found(varnished):
+    capture, scene = varnished
+    capture.products(load_recipe("default"))
+    record = json.loads(next(capture.store.root.rglob("calibration.json")).read_text(encoding="utf-8"))
+    assert record["believed"] == list(scene.found.believed)
+    np.testing.assert_allclose(record["values"], scene.found.shared.vector())
