@@ -53,7 +53,7 @@ LOST = 0.02
 """Smoothed residual, as a share of the albedo, above which nothing is believed.  Sound captures leave 0.0005, a
 canvas 20 mm above the flat 0.01; exchanged photographs, or a table in view, more than 0.1."""
 
-UNLIKE = 0.2
+UNLIKE = 0.3
 """Share of the difference between two kinds of highlights that counts as uncertain."""
 
 SHADOW = 0.05
