@@ -114,6 +114,9 @@ class Tile(Record):
     )
     frames: dict[str, Path] = Field(description="one photograph per lamp")
     flats: dict[str, Path] | None = Field(default=None, description="photographs of a flat, per lamp")
+    flats_averaged: int | None = Field(
+        default=None, ge=1, description="of how many exposures each flat is the mean, where that is stated"
+    )
     dark: Path | None = None
     mask: Path | None = Field(default=None, description="image that is white on the artwork")
     auto_mask: bool = Field(

@@ -82,6 +82,7 @@ class Manifest(Record):
     sensor: Sensor | None = None
     pixel_size_mm: Positive | None = None
     white_reflectance: float = Field(default=0.9, gt=0, le=1)
+    flats_averaged: int | None = Field(default=None, ge=1)
     tiles: list[_Tile] = Field(default=[_Tile(name="r0c0")], min_length=1)
 
 
@@ -209,6 +210,7 @@ class _Reader:
             pixel_size_mm=whole.pixel_size_mm,
             frames=frames,
             flats={lamp: flats[lamp] for lamp in frames} if flats else None,
+            flats_averaged=whole.flats_averaged,
             dark=dark,
             mask=mask,
             auto_mask=auto_mask,

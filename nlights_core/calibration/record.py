@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from nlights_core.calibration.fitting import Calibration
+from nlights_core.calibration.two_rings import TwoAnswers
 from nlights_core.calibration.uncertainty import SmoothErrors
 from nlights_core.calibration.unknowns import Shared, from_vector, nothing
 from nlights_core.files.arrays import write_array
@@ -21,6 +23,10 @@ no level is stated.  Sound captures leave 0.0003 to 0.0007."""
 
 LARGEST = 0.3
 """Uncertainty of a level above which it counts as not measured, mm."""
+
+NOISIER = 2.5
+"""Times the variance of the flats' noise above which the photographs' is another.  Sound captures have 0.9 to 1.1,
+flats that are means of four exposures 4; a camera that moved by a pixel between lamps makes 2."""
 
 MODEL = 0.015
 """Share of a level by which the model is wrong: lamps that are extended, a flat that is smoothed."""
@@ -45,6 +51,10 @@ class Known:
         Share of the pixels that are of another material than most.
     unreached : float
         Share of the samples whose ray misses the photographed flat.
+    answers : TwoAnswers or None
+        How far heights by the low and by the high lamps differ; None: there are no two halves that can measure.
+    noisier : float or None
+        Variance of the photographs' noise over that of the flats; None: noise is stated, or cannot be compared.
     """
 
     shared: Shared
@@ -54,12 +64,22 @@ class Known:
     misfit: bool
     strange: float | None
     unreached: float
+    answers: TwoAnswers | None = None
+    noisier: float | None = None
 
 
-def write_calibration(folder: Path, found: Calibration, errors: SmoothErrors, missed: float) -> None:
+def write_calibration(
+    folder: Path,
+    found: Calibration,
+    errors: SmoothErrors,
+    missed: float,
+    answers: TwoAnswers | None,
+    noisier: float | None,
+) -> None:
     """Write ``calibration.json``, ``height.npy`` of the reduced photographs, and ``uncertainty.npy`` (2, h, w).
 
-    ``missed`` is the share of the samples whose ray misses the photographed flat.
+    ``missed`` is the share of the samples whose ray misses the photographed flat; ``answers``, how far heights by two
+    halves of the lamps differ; ``noisier``, how noisy they are against the flats.
     """
     misfit = errors.residual > max(MISFIT, OF_NOISE * errors.noise)
     wide = float(np.hypot(np.sqrt(found.covariance[0, 0]), MODEL * found.shared.level))
@@ -74,14 +94,19 @@ def write_calibration(folder: Path, found: Calibration, errors: SmoothErrors, mi
         "residual": errors.residual,
         "strange": float(found.strange.mean()),
         "unreached": missed,
+        "answers": asdict(answers) if answers else None,
+        "noisier": noisier,
     }
     (folder / "calibration.json").write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
     write_array(folder / "height.npy", found.height)
     write_array(folder / "uncertainty.npy", np.stack([errors.height, errors.slope]))
 
 
-def write_nothing(folder: Path, lamps: int, grid: PixelGrid) -> None:
-    """Write a calibration that found nothing, of a surface in the plane of the flat; its uncertainty is not known."""
+def write_nothing(folder: Path, lamps: int, grid: PixelGrid, noisier: float | None) -> None:
+    """Write a calibration that found nothing, of a surface in the plane of the flat; its uncertainty is not known.
+
+    ``noisier``: as for `write_calibration`.
+    """
     record = {
         "lamps": lamps,
         "values": nothing(lamps).vector().tolist(),
@@ -91,6 +116,8 @@ def write_nothing(folder: Path, lamps: int, grid: PixelGrid) -> None:
         "residual": None,
         "strange": None,
         "unreached": 0.0,
+        "answers": None,
+        "noisier": noisier,
     }
     (folder / "calibration.json").write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
     edge = block_edge(grid.columns)
@@ -109,7 +136,15 @@ def read_calibration(folder: Path) -> Known:
         record["misfit"],
         record["strange"],
         record["unreached"],
+        _answers(record["answers"]),
+        record["noisier"],
     )
+
+
+def _answers(record: dict[str, Any] | None) -> TwoAnswers | None:
+    if record is None:
+        return None
+    return TwoAnswers(**{**record, "low": tuple(record["low"]), "high": tuple(record["high"])})
 
 
 def read_uncertainty(folder: Path) -> Array:

@@ -155,8 +155,8 @@ class Band:
 class Darkroom:
     """The open photographs of a tile: frames or flats, the dark frame and the mask.
 
-    Use `darkroom` to open one.  ``veil`` is light that frames have and the dark frame lacks, as a share of
-    saturation: it is subtracted.
+    Use `darkroom` to open one.  ``averaged``: of how many exposures each photograph is the mean.  ``veil`` is light
+    that frames have and the dark frame lacks, as a share of saturation: it is subtracted.
     """
 
     grid: PixelGrid
@@ -167,6 +167,7 @@ class Darkroom:
     mask: Mask | None
     subject: str
     sensor: Sensor | None
+    averaged: int = 1
     veil: float = 0.0
     exposures: dict[str, Exposure] = field(default_factory=dict)
     _views: list[Array] = field(default_factory=list)
@@ -181,7 +182,11 @@ class Darkroom:
         if self.sensor is not None:
             return Noise.of_sensor(self.sensor, channels, self.dark is not None)
         smooth = self.subject == "flats"
-        found = measure_noise(self.photographs.values(), self.dark, smooth=smooth)
+        found = None
+        for mask in (self.mask, None):  # a narrow mask may hold no whole block
+            found = found or measure_noise(
+                self.photographs.values(), self.dark, smooth=smooth, mask=mask, averaged=self.averaged
+            )
         return found or Noise(np.ones(channels), np.zeros(channels))
 
     def raw(self, start: int, stop: int, lights: LightField) -> Raw:
@@ -476,6 +481,7 @@ def darkroom(tile: Tile, scratch: Path, *, flats: bool = False) -> Iterator[Dark
             mask=mask,
             subject="flats" if flats else "frames",
             sensor=tile.sensor,
+            averaged=(tile.flats_averaged or 1) if flats else 1,
         )
 
 

@@ -17,6 +17,7 @@ from nlights_core.machine.band_threads import in_order
 if TYPE_CHECKING:
     from nlights_core.capture import Sensor
     from nlights_core.photographs.images import Photograph
+    from nlights_core.photographs.masks import Mask
 
 BLOCK = 16
 """Edge of the blocks, px, within which a photograph's variance about a smooth surface is taken: larger than
@@ -27,6 +28,12 @@ BLOCKS = 64
 
 SMOOTHEST = 0.1
 """Of an artwork's blocks this quantile of the variance is believed to be noise, not texture."""
+
+DIM = 0.25
+"""Blocks below this share of the mean level say little of photons."""
+
+PATTERNS = 3
+"""In which albedo and relief of a block can change its photographs: a scaled normal has three numbers."""
 
 QUIETEST = 1e-4
 """No photograph is taken to be better than this standard deviation at its mean level: a simulation
@@ -116,17 +123,22 @@ def block_statistics(image: Array, usable: Array) -> tuple[Array, Array]:
     -------
     means, variances : (n, C) float64 arrays
     """
+    edge = min(BLOCK, *image.shape[:2])
+    blocks, smooth = _blocks(image, usable), _smooth(edge)
+    # Block by block: one large product would be shared out to cores that have their own work.
+    left = np.sum(blocks**2, axis=1) - np.sum((smooth.T @ blocks) ** 2, axis=1)
+    freedom = edge**2 - smooth.shape[1]
+    return blocks.mean(axis=1), np.maximum(left, 0) / freedom
+
+
+def _blocks(image: Array, usable: Array) -> Array:
+    """Blocks of the first rows of a photograph that can be used throughout, (n, edge^2, C) float64."""
     rows, columns, channels = image.shape
     edge = min(BLOCK, rows, columns)
     across = _block_columns(columns, edge)
     blocks = np.moveaxis(image[:edge][:, across], 1, 0).astype(np.float64)
     kept = usable[:edge][:, across].all(axis=(0, 2))
-    blocks = blocks[kept].reshape(-1, edge**2, channels)
-    smooth = _smooth(edge)
-    # Block by block: one large product would be shared out to cores that have their own work.
-    left = np.sum(blocks**2, axis=1) - np.sum((smooth.T @ blocks) ** 2, axis=1)
-    freedom = edge**2 - smooth.shape[1]
-    return blocks.mean(axis=1), np.maximum(left, 0) / freedom
+    return np.asarray(blocks[kept].reshape(-1, edge**2, channels))
 
 
 def _block_columns(columns: int, edge: int) -> Array:
@@ -144,7 +156,12 @@ def _smooth(edge: int) -> Array:
 
 
 def measure_noise(
-    photographs: Collection[Photograph], dark: Photograph | None, *, smooth: bool
+    photographs: Collection[Photograph],
+    dark: Photograph | None,
+    *,
+    smooth: bool,
+    mask: Mask | None = None,
+    averaged: int = 1,
 ) -> Noise | None:
     """Measure the noise in the photographs of a tile or of its flat.
 
@@ -157,38 +174,122 @@ def measure_noise(
     smooth : bool
         They show a flat: the median block is noise.  Otherwise they show an artwork,
         and only the smoothest tenth of its blocks is believed to be.
+    mask : Mask, optional
+        Of the artwork: what lies outside, such as a clean black background, says nothing.
+    averaged : int
+        Of how many exposures each of them is the mean; the noise is that of one.
 
     Returns
     -------
     Noise or None
         None where no block is free of saturated pixels.
     """
-    info = next(iter(photographs)).info
-    edge = min(BLOCK, info.rows, info.columns)
-    starts = np.linspace(0, info.rows - edge, min(BLOCKS // 4, info.rows // edge)).round().astype(int)
-    starts = np.unique(starts)
-    columns = _block_columns(info.columns, edge).ravel()
-    limit = 1.0 if np.isfinite(info.saturation) else np.inf
-
-    def seen(photograph: Photograph) -> list[Array]:
-        return [photograph.band(int(start), int(start) + edge)[:, columns] for start in starts]
-
-    black = seen(dark) if dark is not None else []
+    strips = _Strips(next(iter(photographs)), dark, mask)
 
     def of_photograph(photograph: Photograph) -> list[tuple[Array, Array]]:
-        images = seen(photograph)
-        usable = [np.asarray((image < limit).all(axis=-1)) for image in images]
-        if black:
-            images = [image - b for image, b in zip(images, black, strict=True)]
-        return [block_statistics(image, whole) for image, whole in zip(images, usable, strict=True)]
+        return [block_statistics(*strip) for strip in strips.of(photograph)]
 
     found = [part for parts in in_order(of_photograph, photographs) for part in parts]
     means, variances = (np.concatenate([part[k] for part in found]) for k in (0, 1))
-    unlit = [block_statistics(b, np.ones(b.shape[:2], bool))[1] for b in black]
-    return fit_noise(means, variances, np.concatenate(unlit) if unlit else None, smooth=smooth)
+    return fit_noise(means, variances, strips.dark_variances(), smooth=smooth, averaged=averaged)
 
 
-def fit_noise(means: Array, variances: Array, dark: Array | None, *, smooth: bool) -> Noise | None:
+def measure_noise_between_lamps(
+    photographs: Collection[Photograph], dark: Photograph | None, mask: Mask | None
+) -> Noise | None:
+    """Measure the noise in photographs of an artwork under several lamps, whatever its texture.
+
+    Within a block, albedo and relief change the photographs by a mixture of three patterns, as many as a normal times
+    an albedo has numbers; what is left of five lamps or more is noise.  Of blocks with noise alone it
+    is 10 % too small, since the three largest of its parts are taken for the artwork.
+
+    Parameters
+    ----------
+    photographs, dark, mask : as for `measure_noise`
+
+    Returns
+    -------
+    Noise or None
+        None with fewer than five lamps, or where no block can be seen under all of them.
+    """
+    from scipy.special import chdtri
+
+    if len(photographs) < PATTERNS + 2:
+        return None
+    strips = _Strips(next(iter(photographs)), dark, mask)
+    seen = list(in_order(strips.of, photographs))
+    unlit = strips.dark_variances()
+    channels = seen[0][0][0].shape[-1]
+    readout = 2 * np.median(unlit, axis=0) if unlit is not None else np.zeros(channels)
+    parts = [_left_over(list(strip), readout) for strip in zip(*seen, strict=True)]
+    levels, gains = (np.concatenate([part[k] for part in parts]) for k in (0, 1))
+    if not len(levels):
+        return None
+    freedom = (BLOCK**2 - 10) * (len(photographs) - PATTERNS)
+    bright = levels >= DIM * levels.mean(axis=0)
+    gain = np.array([np.quantile(gains[bright[:, c], c], SMOOTHEST) for c in range(channels)])
+    gain *= freedom / chdtri(freedom, 1 - SMOOTHEST)
+    return Noise(np.maximum(gain, QUIETEST**2 * levels.mean(axis=0)), readout)
+
+
+def _left_over(strips: list[tuple[Array, Array]], readout: Array) -> tuple[Array, Array]:
+    """Levels, and variances per signal of what is left of the blocks of a strip under all lamps, (n, C) each."""
+    usable = np.logical_and.reduce([whole for _, whole in strips])
+    blocks = np.stack([_blocks(image, usable) for image, _ in strips])
+    lamps, _, area, channels = blocks.shape
+    means = blocks.mean(axis=2)
+    lit = (means > DIM * means.mean(axis=(0, 1))).all(axis=(0, 2))
+    blocks, means = blocks[:, lit], means[:, lit]
+    smooth = _smooth(int(np.sqrt(area)))
+    gains = np.empty((blocks.shape[1], channels))
+    for n in range(len(gains)):
+        for c in range(channels):
+            rest = blocks[:, n, :, c] / np.sqrt(means[:, n, None, c])
+            rest = rest - (rest @ smooth) @ smooth.T
+            own = np.linalg.eigvalsh(rest @ rest.T)[: lamps - PATTERNS].mean()
+            gains[n, c] = own / (area - smooth.shape[1]) - readout[c] * (1 / means[:, n, c]).mean()
+    return means.mean(axis=0), gains
+
+
+class _Strips:
+    """Some rows of photographs of one size, in which blocks lie side by side."""
+
+    def __init__(self, first: Photograph, dark: Photograph | None, mask: Mask | None) -> None:
+        info = first.info
+        self.edge = min(BLOCK, info.rows, info.columns)
+        count = min(BLOCKS // 4, info.rows // self.edge)
+        self.starts = np.unique(np.linspace(0, info.rows - self.edge, count).round().astype(int)).tolist()
+        self.columns = _block_columns(info.columns, self.edge).ravel()
+        self.limit = 1.0 if np.isfinite(info.saturation) else np.inf
+        self.black = self._read(dark) if dark is not None else []
+        self.inside = [
+            mask.band(start, start + self.edge)[:, self.columns] if mask is not None else True
+            for start in self.starts
+        ]
+
+    def _read(self, photograph: Photograph) -> list[Array]:
+        return [photograph.band(start, start + self.edge)[:, self.columns] for start in self.starts]
+
+    def of(self, photograph: Photograph) -> list[tuple[Array, Array]]:
+        """Strips of a photograph without the dark frame, and where they can be used."""
+        images = self._read(photograph)
+        usable = [
+            np.asarray((image < self.limit).all(axis=-1) & inside)
+            for image, inside in zip(images, self.inside, strict=True)
+        ]
+        if self.black:
+            images = [image - black for image, black in zip(images, self.black, strict=True)]
+        return list(zip(images, usable, strict=True))
+
+    def dark_variances(self) -> Array | None:
+        """Variances of the blocks of the dark frame, (m, C)."""
+        found = [block_statistics(black, np.ones(black.shape[:2], bool))[1] for black in self.black]
+        return np.concatenate(found) if found else None
+
+
+def fit_noise(
+    means: Array, variances: Array, dark: Array | None, *, smooth: bool, averaged: int = 1
+) -> Noise | None:
     """Photon and readout noise from the statistics of blocks.
 
     Parameters
@@ -197,7 +298,7 @@ def fit_noise(means: Array, variances: Array, dark: Array | None, *, smooth: boo
         Of blocks of photographs, dark subtracted; see `block_statistics`.
     dark : (m, C) array, optional
         Variances of blocks of the dark frame.
-    smooth : bool
+    smooth, averaged : bool, int
         See `measure_noise`.
 
     Returns
@@ -209,18 +310,18 @@ def fit_noise(means: Array, variances: Array, dark: Array | None, *, smooth: boo
 
     if not len(means) or not (means.mean(axis=0) > 0).all():
         return None
-    # Frame and dark frame are read out once each.
-    readout = 2 * np.median(dark, axis=0) if dark is not None else np.zeros(means.shape[1])
+    # Frame and dark frame are read out once each; the readings of a mean are averaged with its photons.
+    once = np.median(dark, axis=0) if dark is not None else np.zeros(means.shape[1])
+    readout = once * (1 + 1 / averaged)
     level = means.mean(axis=0)
     freedom = BLOCK**2 - 10
     share = 0.5 if smooth else SMOOTHEST
     gain = np.empty(means.shape[1])
     for c in range(means.shape[1]):
-        # Dim blocks say little of photons.
-        bright = means[:, c] >= 0.25 * level[c]
+        bright = means[:, c] >= DIM * level[c]
         ratios = (variances[bright, c] - readout[c]) / means[bright, c]
         gain[c] = np.quantile(ratios, share) * freedom / chdtri(freedom, 1 - share)
-    return Noise(np.maximum(gain, QUIETEST**2 * level), readout)
+    return Noise(averaged * np.maximum(gain, QUIETEST**2 * level), 2 * once)
 
 
 def write_noise(folder: Path, noise: Noise) -> None:

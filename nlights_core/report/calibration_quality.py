@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from nlights_core.calibration.record import NOISIER
 from nlights_core.frames import Array
 from nlights_core.report.figures import Number
 
@@ -35,7 +36,7 @@ def of_calibration(known: Known | None, uncertainty: Array | None) -> list[Numbe
     uncertainty : (2, h, w) array or None
         Of height and slope, on coarse blocks.
     """
-    return [*_level(known, uncertainty), *_light(known), *_surface(known)]
+    return [*_level(known, uncertainty), *_light(known), *_surface(known), _halves(known), _noise(known)]
 
 
 def _level(known: Known | None, uncertainty: Array | None) -> list[Number]:
@@ -112,6 +113,11 @@ def _light(known: Known | None) -> list[Number]:
             room,
             "%",
             "Of the mean flat, reflected by artwork and flat; as above.",
+            warning=f"Artwork and flat reflect {room:.1f} % of light of the room, which the dark frame lacks: darken "
+            "the room, and photograph artwork and flats again; the measurement was corrected for it."
+            if room is not None and additive is not None and additive <= LEAST_LIGHT < room
+            else "",
+            code="additive-light",
         ),
     ]
 
@@ -192,3 +198,60 @@ def _surface(known: Known | None) -> list[Number]:
             code="flat-reach",
         ),
     ]
+
+
+def _halves(known: Known | None) -> Number:
+    """Difference of the heights by two halves of the lamps."""
+    answers = known.answers if known else None
+    warning = ""
+    if answers is not None and answers.disagree:
+        low, high = (", ".join(half) for half in (answers.low, answers.high))
+        which = f"the low lamps ({low}) and by the high ones ({high})"
+        if not answers.rings:
+            which = f"{low} and by {high}"
+        warning = (
+            f"Heights by {which} differ by {answers.difference:.2f} mm, {answers.limit:.2f} mm are normal: something "
+            "in light, surface or stand is not as it is believed to be, and the height may be wrong by a part of it. "
+            "Do not rely on the slow bow of this height; see the other warnings for the cause."
+        )
+    return Number(
+        "Agreement",
+        "Heights by two halves of the lamps, difference rms",
+        answers.difference if answers else None,
+        "mm",
+        "The height is measured twice, by the low and by the high lamps alone, with all corrections: after the best "
+        "constant, and without noise. It is several times the error of the height where something is wrong.",
+        warning=warning,
+        code="two-rings",
+    )
+
+
+def _noise(known: Known | None) -> Number:
+    """Noise of the photographs against that of the flats."""
+    times = known.noisier if known else None
+    warning = ""
+    if times is not None and times > NOISIER:
+        number = max(2, round(times))
+        warning = (
+            f"The photographs of the artwork have {times:.1f} times the variance of noise of the flats, as if each "
+            f"flat were the mean of {number} exposures; the photographs' own was used. If the flats are such means, "
+            f"write flats_averaged: {number} (of how many exposures) into artwork.yaml; if not, see whether the "
+            "camera was set to another ISO, or state sensor."
+        )
+    elif times is not None and times < 1 / NOISIER:
+        warning = (
+            f"The flats have {1 / times:.1f} times the variance of noise of the photographs of the artwork, and "
+            "theirs was used for both: uncertainties are too large. Photograph flats with the ISO setting of the "
+            "artwork; if its photographs are means of several exposures, state in sensor the electrons of one times "
+            "their number."
+        )
+    return Number(
+        "Agreement",
+        "Noise of the photographs against the flats'",
+        times,
+        "times the variance",
+        "The two should be the same, 1; not measured where sensor or flats_averaged is stated, or with fewer than "
+        "five lamps.",
+        warning=warning,
+        code="flats-averaged",
+    )

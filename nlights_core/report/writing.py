@@ -7,7 +7,7 @@ import json
 import shutil
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -100,10 +100,11 @@ def write_report(
             numbers += quality.of_known_heights(read_differences(made["trend"]), source)
             if (made["trend"] / DIFFERENCES).is_file():
                 shutil.copyfile(made["trend"] / DIFFERENCES, folder / DIFFERENCES)
-        numbers = quality.grouped(numbers)
         places = [store.root / place for place in records if place != agreement.folder]
         others = [warning for place in places for warning in read_warnings(place)]
-        warnings = _warnings(read_warnings(made["agreement"]), others, numbers)
+        photographs = read_warnings(made["agreement"])
+        numbers = quality.grouped(_without_explained(numbers, photographs))
+        warnings = _warnings(photographs, others, numbers)
         write_html(folder / "report.html", said, drawing.result(), numbers, warnings)
     write_warnings(folder, warnings)
     provenance = {
@@ -165,6 +166,21 @@ def _numbers(
         tile.lamps,
         absent,
     )
+
+
+EXPLAINS_STAND = {
+    "additive-light", "dark-lit", "drift", "exchanged", "flat-gloss", "not-fired", "tone-curve", "truncated", "turned"
+}  # fmt: skip
+"""Codes of what makes flats differ from the lamps of a stand that is as its file says.  Nobody should measure a stand
+again before these are mended: if it is the stand as well, the next capture says so."""
+
+
+def _without_explained(numbers: Sequence[Number], photographs: Sequence[CaptureWarning]) -> list[Number]:
+    """Numbers of which the flats' fit to the stand warns only where nothing else explains it."""
+    found = {warning.code for warning in photographs} | {number.code for number in numbers if number.warning}
+    if not found & EXPLAINS_STAND:
+        return list(numbers)
+    return [replace(number, warning="") if number.code == "stand" else number for number in numbers]
 
 
 FIRST = "Mend what stands above first; if this stays: "

@@ -35,7 +35,8 @@ def facts_of_photographs(store: Store, tile: Tile, which: str) -> dict[str, Any]
                 f"({paths[seen[digest]].name}); name the one that was taken under {lamp}"
             )
         seen[digest] = lamp
-    return {
+    stated = {"flats_averaged": tile.flats_averaged} if which == "flats" else {}
+    return stated | {
         which: digests,
         "dark": store.digest(tile.dark) if tile.dark else None,
         "mask": _mask(store, tile) if which == "frames" else None,

@@ -41,7 +41,7 @@ def normals(
     """Normals and what is solved with them; the files are listed in `nlights_core.solving.band_solving`.
 
     ``height`` is the `overview` or the `calibration`, where there is one; what the latter found is taken out of the
-    photographs.  ``photographed``: the flat field is, so that it
+    photographs, and their noise is what it says.  ``photographed``: the flat field is, so that it
     makes the albedo absolute.
     """
     tile = with_mask(store, tile)
@@ -62,7 +62,8 @@ def normals(
         removed = read_array(store.path(bias) / "bias.npy") if bias else None
         with store.scratch() as scratch, darkroom(tile, scratch) as room:
             if flat_field:
-                room.noise = read_noise(store.path(flat_field)) or room.noise
+                known = height and read_noise(store.path(height))
+                room.noise = known or read_noise(store.path(flat_field)) or room.noise
             correct = None
             if height and height.stage == "calibration" and divisor is not None:
                 shared = read_calibration(store.path(height)).shared

@@ -1,5 +1,6 @@
 """Noise measured in photographs: against the noise that was put in."""
 
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -8,11 +9,13 @@ import tifffile
 
 from nlights_core.capture import Encoding, Sensor
 from nlights_core.photographs.images import Photograph
+from nlights_core.photographs.masks import Mask
 from nlights_core.photographs.noise import (
     Noise,
     block_statistics,
     fit_noise,
     measure_noise,
+    measure_noise_between_lamps,
     read_noise,
     write_noise,
 )
@@ -61,6 +64,72 @@ def test_an_artwork_that_is_textured_nearly_everywhere_still_shows_the_noise(tmp
         found = measure_noise([frame], dark, smooth=False)
     # The smoothest tenth of all blocks is here the quieter half of the plain ones: 1 / 0.89 too much.
     np.testing.assert_allclose(found.gain, 1 / ELECTRONS, rtol=0.15)
+
+
+@pytest.fixture
+def textured(tmp_path):
+    """An artwork of paint and relief in every pixel, under lamps around it."""
+    random = np.random.default_rng(5)
+    albedo = np.exp(0.3 * random.standard_normal((320, 640, 1)))
+    normals = np.stack([*0.1 * random.standard_normal((2, 320, 640)), np.ones((320, 640))], axis=-1)
+    with ExitStack() as stack:
+
+        def photographs(lamps: int, **more) -> list[Photograph]:
+            found = []
+            for i in range(lamps):
+                angle = 2 * np.pi * i / lamps
+                lamp = np.array([np.cos(angle), np.sin(angle), 0.7 + 0.1 * (i % 2)])
+                light = 0.35 * ramp(0.8) * albedo * (normals @ lamp)[..., None]
+                path = opened(
+                    tmp_path, f"{len(list(tmp_path.iterdir()))}.tif", np.clip(light, 0, 0.95), 20 + i
+                )
+                found.append(stack.enter_context(path))
+            return found
+
+        yield photographs
+
+
+@pytest.mark.parametrize("lamps", [5, 8])
+def test_what_lamps_do_not_share_is_noise_however_textured_the_artwork(textured, dark, lamps):
+    found = measure_noise_between_lamps(textured(lamps), dark, None)
+    np.testing.assert_allclose(found.gain, 1 / ELECTRONS, rtol=0.1)
+    # That the smoothest tenth of such an artwork is not noise:
+    assert measure_noise(textured(2), dark, smooth=False).gain.mean() > 10 / ELECTRONS
+
+
+def test_fewer_than_five_lamps_have_nothing_left_over(textured, dark):
+    assert measure_noise_between_lamps(textured(4), dark, None) is None
+
+
+def test_a_clean_background_outside_the_mask_says_nothing_of_noise(tmp_path, dark):
+    light = ramp(0.8)
+    with opened(tmp_path, "frame.tif", light, 1) as frame:
+        pass
+    image = tifffile.imread(tmp_path / "frame.tif")
+    image[:, 200:] = 20_000  # retouched
+    tifffile.imwrite(tmp_path / "frame.tif", image, photometric="rgb")
+    white = np.zeros((320, 640), np.uint8)
+    white[:, :200] = 255
+    tifffile.imwrite(tmp_path / "mask.tif", white)
+    with Photograph(tmp_path / "frame.tif", Encoding()) as frame:
+        unmasked = measure_noise([frame], dark, smooth=False)
+        found = measure_noise([frame], dark, smooth=False, mask=Mask(tmp_path / "mask.tif"))
+        between = measure_noise_between_lamps([frame] * 5, dark, Mask(tmp_path / "mask.tif"))
+    assert unmasked.gain.mean() < 0.1 / ELECTRONS
+    np.testing.assert_allclose(found.gain, 1 / ELECTRONS, rtol=0.1)
+    assert between is not None
+
+
+@pytest.mark.parametrize("exposures", [4, 16])
+def test_flats_that_are_means_tell_the_noise_of_one_exposure(tmp_path, dark, exposures):
+    mean = np.mean([photographed(ramp(0.8), 100 + i).astype(float) for i in range(exposures)], axis=0)
+    tifffile.imwrite(tmp_path / "flat.tif", np.rint(mean).astype(np.uint16), photometric="rgb")
+    with Photograph(tmp_path / "flat.tif", Encoding()) as flat:
+        found = measure_noise([flat], dark, smooth=True, averaged=exposures)
+        untold = measure_noise([flat], dark, smooth=True)
+    np.testing.assert_allclose(found.gain, 1 / ELECTRONS, rtol=0.05)
+    np.testing.assert_allclose(found.readout, 2 * (READOUT / ELECTRONS) ** 2, rtol=0.1)
+    np.testing.assert_allclose(untold.gain * exposures, 1 / ELECTRONS, rtol=0.2)
 
 
 def test_saturated_blocks_say_nothing_of_noise(tmp_path, dark):

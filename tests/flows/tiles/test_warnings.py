@@ -1,9 +1,12 @@
 """Warnings: what a capture's own photographs say against the files that describe it."""
 
 import json
+import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
+import tifffile
 
 from nlights_core.configurations import load_stand
 from nlights_core.manifest import load_capture
@@ -76,3 +79,18 @@ def test_lamps_that_are_not_as_stated_are_calibrated_on_the_artwork(drawing, tmp
         errors[refine] = evaluate(outcome.folder, drawing / "truth")
     assert errors[True]["angle_mean_deg"] < 0.6 * errors[False]["angle_mean_deg"]
     assert errors[True]["height_rms_mm"] < 0.6 * errors[False]["height_rms_mm"]
+
+
+def test_light_of_the_room_is_no_reason_to_measure_the_stand_again(drawing, tmp_path):
+    """Light that the dark frame lacks, in photographs and flats alike: it makes flats unlike the stand's lamps."""
+    capture = tmp_path / "capture"
+    shutil.copytree(drawing, capture)
+    for path in [*capture.glob("light_*.tif"), *(capture / "flat").glob("*.tif")]:
+        image = tifffile.imread(path).astype(np.int64) + 900
+        tifffile.imwrite(path, np.minimum(image, 65535).astype(np.uint16), photometric="rgb")
+    outcome = digitised(capture, "vertical-dark", "default", tmp_path)
+    codes = [row["code"] for row in json.loads((outcome.folder / "warnings.json").read_text())]
+    assert "additive-light" in codes
+    assert "stand" not in codes
+    assert numbers(outcome)["Doubt of the stand's file"] > 9.5
+    assert "points of interest again" not in (outcome.folder / "report.html").read_text()
