@@ -182,7 +182,7 @@ def _of_moves(moves: Moves, relative: RelativeLight, tile: Tile) -> list[Capture
 
 
 def _amount(across: float, up: float, measured: bool) -> str:
-    """Say by how much photographs moved, for a sentence."""
+    """Amount by which photographs moved, for a sentence."""
     if measured:
         return (
             f"by {np.hypot(across, up):.1f} px against the other photographs (dx {across:+.1f}, dy {up:+.1f} px; "

@@ -7,12 +7,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nlights_core.calibration.compiled_reflectance import (
-    add_equations,
-    eliminate_normals,
-    linearise_samples,
-    solve_normals,
-)
 from nlights_core.calibration.reflectance import FLAT_LOBES, LOBES
 from nlights_core.calibration.sampling import Pixels, Samples, develop_pixels, readings_of_constant
 from nlights_core.calibration.unknowns import Shared
@@ -78,6 +72,8 @@ class Equations(NamedTuple):
 
 def improve_normals(samples: Samples, shared: Shared, scaled: Array, limit: float, rounds: int) -> Array:
     """Improve scaled normals (N, 3) in place; return the residual of each, in standard deviations."""
+    from nlights_core.calibration.compiled_reflectance import solve_normals
+
     surprise = np.full(len(scaled), np.nan)
     images, weights = (np.ascontiguousarray(a, np.float32) for a in (samples.images, samples.weights))
     lights, views = (np.ascontiguousarray(a, np.float32) for a in (samples.lights, samples.views))
@@ -118,6 +114,8 @@ def linearise(
     shared : Shared
         Present values.
     """
+    from nlights_core.calibration.compiled_reflectance import linearise_samples
+
     here = develop_pixels(room, pixels, lights, flat_field, z)
     above = develop_pixels(room, pixels, lights, flat_field, z + np.float32(STEP))
     constant = readings_of_constant(room, pixels, lights, flat_field, z)
@@ -149,6 +147,8 @@ def _eliminate(
     scaled: Array,
 ) -> Equations:
     """Eliminate the normals, and add to each column the bend of the height that it makes."""
+    from nlights_core.calibration.compiled_reflectance import add_equations, eliminate_normals
+
     size, count, unknowns = columns.shape
     usable: Array = np.asarray((precisions > 0).sum(axis=1) > 3)
     precisions[~usable] = 0

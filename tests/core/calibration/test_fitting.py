@@ -177,7 +177,7 @@ def test_a_tile_of_one_colour_under_much_noise_has_a_right_level_or_none(simulat
         lambda light, _: light + random.normal(0, 1500, light.shape), ""
     )
     scene = calibrated(capture)
-    write_calibration(tmp_path, scene.found, scene.errors, 0.0)
+    write_calibration(tmp_path, scene.found, scene.errors, 0.0, None, None)
     stated = read_calibration(tmp_path).level_uncertainty
     assert stated is None or abs(level_error(scene)[0]) < 2.5 * stated
 
