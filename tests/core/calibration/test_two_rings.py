@@ -7,8 +7,8 @@ import pytest
 import tifffile
 
 from nlights_core.calibration.fitting import calibrate
-from nlights_core.calibration.record import read_calibration
-from nlights_core.calibration.two_rings import TwoAnswers, compare_halves, divide_lamps
+from nlights_core.calibration.record import TwoAnswers, read_calibration
+from nlights_core.calibration.two_rings import compare_halves, divide_lamps
 from nlights_core.configurations import load_stand
 from nlights_core.fields import LightField
 from nlights_core.manifest import load_capture
