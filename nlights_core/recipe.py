@@ -263,7 +263,7 @@ class _Reader:
         raise RecipeError("\n".join(self.faults))
 
     def _sought(self, given: Any) -> Any:
-        """What a calibration is asked for; None where there shall be none."""
+        """Read what a calibration is asked for; None where there shall be none."""
         names = list(Sought.model_fields)
         if isinstance(given, dict):
             self._refuse_unknown(("calibration",), given, names)

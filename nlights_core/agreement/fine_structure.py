@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
@@ -121,7 +121,7 @@ def _of_detail(detail: Detail, around: Surroundings, moves: Array) -> FineStruct
     pixels = moves / detail.scale
     margin = int(np.ceil(np.abs(pixels).max()))
     border = margin + WIDE // 2 + 2
-    images, known = _filled(detail.images)
+    images, known = filled(detail.images)
     level = uniform_filter(images.mean(axis=0), WIDE)
     level = np.maximum(level, 1e-2 * float(np.abs(level).mean()) + 1e-9)
     stack = np.empty((3, count, height, width), np.float32)
@@ -180,7 +180,20 @@ def _of_detail(detail: Detail, around: Surroundings, moves: Array) -> FineStruct
     return FineStructure(products, grams[:, :count, :count], freedom, places, sizes[some])
 
 
-def _filled(images: Array) -> tuple[Array, Array | None]:
+def brought_back(detail: Detail, moves: Array) -> Detail:
+    """A detail whose photographs' movements, px, are taken back."""
+    images, known = filled(detail.images)
+    found = images.copy()
+    for i in np.flatnonzero(moves.any(axis=1)):
+        found[i] = shift(images[i], -moves[i, ::-1] / detail.scale, order=3, mode="nearest")
+    if known is not None:
+        reach = 2 * int(np.ceil(np.abs(moves / detail.scale).max())) + 1
+        missing: Array = uniform_filter((~known).astype(np.float32), (1, reach, reach))
+        found[missing > 1e-5] = np.nan
+    return replace(detail, images=found)
+
+
+def filled(images: Array) -> tuple[Array, Array | None]:
     """Images in which the mean of the other lamps stands where one is not known, and what is known, if not all."""
     known = np.isfinite(images)
     if known.all():

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 
 from nlights_core.agreement.details import Detail, Surroundings
 from nlights_core.agreement.explanations import Misfit
-from nlights_core.agreement.fine_structure import FineStructure, fine_structure, join
+from nlights_core.agreement.fine_structure import FineStructure, brought_back, fine_structure, join
+from nlights_core.agreement.gloss import without_gloss
 from nlights_core.frames import Array
 
 LEAST = 0.35
@@ -55,6 +57,23 @@ SETTLED = 0.05
 """Change of a movement in samples below which a round was the last."""
 
 
+FINAL = 0.02
+"""Change of a movement below which its last measurement has settled, px."""
+
+SURE = 0.15
+"""Standard error up to which a size of details, or a quarter, says where a photograph lies, px."""
+
+FAINT = 10
+"""The same as a multiple of the best one's: what knows a hundred times less has no say in the movement."""
+
+AGREED = 0.3
+"""By how much these may disagree about a movement whose amount is told, px.  Where gloss cannot be taken out they
+reach 0.3 to 0.9, and the whole is then wrong by up to 0.8; else it is wrong by up to 0.25."""
+
+MATT = 0.6
+"""What is left unexplained without gloss, as a share of what is left with it, from which on it is taken out.
+Varnished paintings reach 0.1 to 0.5; noise that is cut off on its bright side leaves 0.8."""
+
 Known = dict[tuple[int, bytes], tuple[FineStructure, FineStructure]]
 
 
@@ -68,10 +87,13 @@ class Moves:
         Right and down, px; 0 where none is certain.
     together : bool
         Whether those that moved moved alike.
+    measured : tuple of int
+        Photographs whose movement all that is sure of it agrees about.
     """
 
     pixels: Array
     together: bool
+    measured: tuple[int, ...] = ()
 
 
 def _evidence(
@@ -161,8 +183,62 @@ def find_moves(levels: Sequence[Sequence[Detail]], around: Surroundings) -> tupl
         )
         if all(brought > BETTER * left for brought, left in pairs):
             return Moves(still, False), fine_structure(levels[0], around, still)
+        moves = _refine(levels, around, moves)
     found = known.get((levels[0][0].scale, moves.pixels.tobytes()))
     return moves, found[0] if found else fine_structure(levels[0], around, moves.pixels)
+
+
+def _refine(levels: Sequence[Sequence[Detail]], around: Surroundings, moves: Moves) -> Moves:
+    """The same movements, measured without gloss where that can be told, and by how much parts disagree on them."""
+    lamps = np.flatnonzero(moves.pixels.any(axis=1)).tolist()
+    pixels = moves.pixels
+    for _ in range(ROUNDS):
+        parts = _clearest(levels, around, pixels)
+        structure, before = join(parts), pixels
+        if not len(structure.sizes):
+            break
+        pixels = pixels + _misfit(structure, np.zeros_like(pixels)).least(lamps, moves.together)[1]
+        if np.abs(pixels - before).max() < FINAL:
+            break
+    measured = tuple(lamp for lamp in lamps if _agree(parts, structure, lamp))
+    return Moves(np.where(np.hypot(*pixels.T)[:, None] > LEAST, pixels, 0.0), moves.together, measured)
+
+
+def _clearest(levels: Sequence[Sequence[Detail]], around: Surroundings, moves: Array) -> list[FineStructure]:
+    """Fine structures of all sizes, brought back, without gloss where it is much of what is unexplained."""
+    still = np.zeros_like(moves)
+    glossy = [fine_structure(one, around, moves) for one in levels]
+    cleaned = [without_gloss(brought_back(one, moves), around) for one in levels[0]]
+    matt = []
+    for _ in levels:
+        matt.append(fine_structure(cleaned, around, still))
+        cleaned = [one.halved() for one in cleaned]
+    shares = [(a.share(), b.share()) for a, b in zip(glossy, matt, strict=True) if a.share() < NOISY]
+    chosen = matt if shares and shares[0][1] < MATT * shares[0][0] else glossy
+    return [_per_pixel(one, details[0].scale) for one, details in zip(chosen, levels, strict=True)]
+
+
+def _agree(sizes: Sequence[FineStructure], whole: FineStructure, lamp: int) -> bool:
+    """Test whether details of all sizes, and the quarters, would leave a lamp's photograph where the whole put it."""
+    quarters = [whole.part(whole.quarters == quarter) for quarter in range(4)]
+    levels = [_wanted(one, lamp) for one in sizes if len(one.sizes)]
+    limit = min(SURE, FAINT * min((error for _, error in levels), default=0.0))
+    sure = [place for place, error in levels if error < limit]
+    apart = [a - b for a, b in combinations([*sure, np.zeros(2)], 2)]
+    apart += [
+        place for place, error in (_wanted(one, lamp) for one in quarters if len(one.sizes)) if error < limit
+    ]
+    return bool(sure) and all(np.hypot(*one) < AGREED for one in apart)
+
+
+def _wanted(structure: FineStructure, lamp: int) -> tuple[Array, float]:
+    """Movement that some tiles would want beside, px, and its standard error."""
+    count = structure.powers.shape[1]
+    pair = [count + lamp, 2 * count + lamp]
+    own = structure.products.sum(axis=0)[np.ix_(pair, pair)]
+    steps = structure.products[:, pair, :count].sum(axis=2) @ np.linalg.pinv(own)
+    unknown = np.linalg.matrix_rank(own) < 2
+    return -steps.sum(axis=0), float("inf") if unknown else float(np.sqrt((steps**2).sum()))
 
 
 def _follow(structure: FineStructure, moves: Array, least: float, last: bool) -> Moves:

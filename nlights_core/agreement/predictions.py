@@ -166,19 +166,32 @@ def _of_moves(moves: Moves, relative: RelativeLight, tile: Tile) -> list[Capture
     for some in sets:
         lamps = tuple(relative.lamps[i] for i in some)
         across, down = (float(value) for value in moves.pixels[some].mean(axis=0))
+        measured = set(some) <= set(moves.measured)
         length = float(np.hypot(across, down))
         found.append(
             CaptureWarning(
                 "moved",
-                f"{named(lamps, tile)}: moved by {length:.1f} px against the other photographs (dx {across:+.1f}, "
-                f"dy {-down:+.1f} px; x right, y up): the camera or the artwork was touched between the "
-                "photographs; fix both and photograph this tile again",
+                f"{named(lamps, tile)}: moved {_amount(across, -down, measured)}: the camera or the artwork was "
+                "touched between the photographs; fix both and photograph this tile again",
                 lamps,
-                round(length, 2),
-                "px",
+                round(length, 2) if measured else None,
+                "px" if measured else "",
             )
         )
     return found
+
+
+def _amount(across: float, up: float, measured: bool) -> str:
+    """By how much photographs moved, for a sentence."""
+    if measured:
+        return (
+            f"by {np.hypot(across, up):.1f} px against the other photographs (dx {across:+.1f}, dy {up:+.1f} px; "
+            "x right, y up)"
+        )
+    return (
+        "against the other photographs; by how much could not be measured, because its parts and its details of "
+        "several sizes disagree, as gloss or noise makes them"
+    )
 
 
 def _of_blur(lamp: str, left: float, tile: Tile) -> CaptureWarning:

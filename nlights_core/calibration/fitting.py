@@ -150,7 +150,7 @@ def calibrate(
 
 @dataclass
 class _State:
-    """What is known between rounds: see `Calibration`; scaled normals (h, w, 3), and the residuals' spread."""
+    """State between rounds: see `Calibration`; scaled normals (h, w, 3), and the residuals' spread."""
 
     shared: Shared
     height: Array

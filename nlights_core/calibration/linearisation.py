@@ -263,13 +263,13 @@ def smooth_blocks(equations: Equations) -> Array:
 
 
 def smooth_residual(equations: Equations) -> float:
-    """What the model misses: smoothed residual beyond noise, rms over the blocks, as a share of the albedo."""
+    """Smoothed residual beyond noise, which the model misses: rms over the blocks, as a share of the albedo."""
     square = float(np.mean(smooth_blocks(equations) ** 2))
     return float(np.sqrt(max(square - smooth_noise(equations) ** 2, 0.0)))
 
 
 def smooth_noise(equations: Equations) -> float:
-    """What noise alone leaves of a smoothed residual, as a share of the albedo."""
+    """Part of a smoothed residual that noise alone leaves, as a share of the albedo."""
     return float(np.sqrt(equations.noise / (4 * np.pi * SMOOTH**2)))
 
 

@@ -16,7 +16,7 @@ from nlights_core.photographs.headers import grid_of, survey
 from nlights_core.products.writing import open_maps, white_reflectance, write_maps
 from nlights_core.store import ArtefactRef, Store, Work, describe
 
-RESTS_ON = ("calibration", "near_light", "photographs", "products")
+RESTS_ON = ("calibration", "near_light", "photographs", "products", "solving")
 """Departments whose code decides the result, beside what all results rest on."""
 
 

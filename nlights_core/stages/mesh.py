@@ -11,7 +11,7 @@ from nlights_core.photographs.headers import grid_of, survey
 from nlights_core.products.writing import write_meshes
 from nlights_core.store import ArtefactRef, Store, Work, describe
 
-RESTS_ON = ("photographs", "products")
+RESTS_ON = ("photographs", "products", "solving")
 """Departments whose code decides the result, beside what all results rest on."""
 
 

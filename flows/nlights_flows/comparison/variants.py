@@ -24,9 +24,10 @@ MOST = 64
 
 REQUIRED = ("light_model", "normals", "integrator")
 SLOTS = (*REQUIRED, *(f"detrend.{name}" for name in Detrends.model_fields))
-PLAIN = ("passes", "integrable")
+PLAIN = ("passes", "integrable", "calibration")
+WITH_OPTIONS = (*SLOTS, "calibration")
 NONE = "none"
-"""What a grid says for a detrend that shall be left out."""
+"""What a grid says for a detrend, or a calibration, that shall be left out."""
 
 Axis = tuple[str, list[Any]]
 """One direction of a grid: the field of the recipe, and its values."""
@@ -113,7 +114,7 @@ def parse_axis(text: str) -> Axis:
         raise RecipeError(
             f"--grid {text}: should be like passes=1,3 or integrator=simchony,frankot-chellappa"
         )
-    if field not in (*SLOTS, *PLAIN) and field.rpartition(".")[0] not in SLOTS:
+    if field not in (*SLOTS, *PLAIN) and field.rpartition(".")[0] not in WITH_OPTIONS:
         near = difflib.get_close_matches(field.split(".")[0], (*SLOTS, *PLAIN), n=1)
         hint = f"did you mean '{near[0]}'? " if near else ""
         raise RecipeError(
@@ -183,6 +184,10 @@ def _set(record: dict[str, Any], field: str, value: Any, base: Recipe) -> None:
     if field in PLAIN:
         record[field] = value
         return
+    if field.startswith("calibration."):
+        given = record["calibration"]
+        record["calibration"] = ({} if given == NONE else given) | {field.partition(".")[2]: value}
+        return
     slot, option = (field, "") if field in SLOTS else field.rsplit(".", 1)
     holder, name = record, slot
     if slot.startswith("detrend."):
@@ -212,6 +217,8 @@ def _recipe(record: dict[str, Any], name: str, registry: Registry) -> Recipe:
             algorithm = _algorithm(slot, holder[key], registry)
             (filled if slot in REQUIRED else removed)[key] = algorithm
     plain = {field: record[field] for field in PLAIN}
+    if _is_none(plain["calibration"]):
+        plain["calibration"] = None
     _refuse_words("", {"passes": plain["passes"]}, Recipe)
     try:
         return Recipe(name=name, detrend=Detrends(**removed), **filled, **plain)

@@ -54,8 +54,16 @@ def grain(seed, across, up, darker=1.0):
     return spoil
 
 
-@pytest.mark.parametrize(("number", "across", "up"), [(8, -2.5, 0.5), (3, 0, 2), (5, 1.5, -1.5)])
-@pytest.mark.parametrize(("varnish", "darker"), [(False, 0.1), (True, 1.0)])
+@pytest.mark.parametrize(
+    ("number", "across", "up", "varnish", "darker"),
+    [
+        (8, -2.5, 0.5, False, 0.1),
+        (3, 0, 2, False, 0.1),
+        (5, 1.5, -1.5, False, 0.1),
+        (3, 0, 2, True, 1.0),
+        (5, 1.5, -1.5, True, 1.0),
+    ],
+)
 def test_a_relief_that_noise_or_gloss_hides_is_followed_in_coarser_details(
     photographs, number, across, up, varnish, darker
 ):
@@ -65,6 +73,23 @@ def test_a_relief_that_noise_or_gloss_hides_is_followed_in_coarser_details(
         capture.change_frames(grain(n, 0 if still else across, 0 if still else up, darker), n)
     (warning,) = capture.said()
     assert_told(warning, across, up, (f"Relio_{number}",))
+
+
+def test_no_amount_is_told_where_gloss_and_noise_hide_it(photographs):
+    capture = photographs("relief", varnish=True)
+    for n in range(1, 9):
+        capture.change_frames(grain(n, -2.5 if n == 8 else 0, 0.5 if n == 8 else 0), n)
+    (warning,) = capture.said()
+    assert (warning.code, warning.lamps, warning.value, warning.unit) == ("moved", ("Relio_8",), None, "")
+    assert "could not be measured" in warning.sentence
+    assert "dx" not in warning.sentence
+
+
+def test_the_amount_is_told_beside_gloss_that_can_be_taken_out(photographs):
+    capture = photographs("painting", "vertical-dark", varnish=True)
+    capture.change_frames(moved(0, -2), 5)
+    (warning,) = capture.said()
+    assert_told(warning, 0, -2, (capture.tile.lamps[4],), within=0.15)
 
 
 def test_dust_on_the_flats_leaves_no_texture_that_lies_still(photographs):

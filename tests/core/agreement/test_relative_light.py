@@ -3,6 +3,8 @@
 import numpy as np
 
 from nlights_core.agreement.relative_light import RelativeLight
+from nlights_core.fields import LightField
+from nlights_core.frames import PixelGrid
 
 
 def test_a_speck_on_a_flat_leaves_no_edges_in_its_smooth_light():
@@ -10,6 +12,8 @@ def test_a_speck_on_a_flat_leaves_no_edges_in_its_smooth_light():
     flats[0, 30:32, 40:42] = 0.25
     vectors = np.broadcast_to(np.float32([0, 0, 1]), (1, 60, 80, 3))
     shaded = np.zeros((1, 24, 24), bool)
-    smooth = RelativeLight(("A",), flats, flats, vectors, shaded, 4, True).smooth_divisors
+    lights = LightField(("A",), directions=np.array([[0.0, 0.0, 1.0]]))
+    light = RelativeLight(("A",), flats, flats, vectors, shaded, 4, True, lights, PixelGrid(60, 80, 1.0))
+    smooth = light.smooth_divisors
     steps = max(np.abs(np.diff(smooth, axis=axis)).max() for axis in (1, 2))
     assert steps / 0.5 < 1e-4

@@ -73,7 +73,7 @@ class Capture:
 
 
 @dataclass(frozen=True)
-class Scene3:
+class Calibrated:
     """A capture read and reduced: what a calibration is given, and what it found."""
 
     room: ReducedRoom
@@ -103,14 +103,14 @@ def read(capture: Capture, scratch: Path) -> tuple[ReducedRoom, LightField, Flat
 
 
 @pytest.fixture(scope="session")
-def calibrated() -> Callable[..., Scene3]:
+def calibrated() -> Callable[..., Calibrated]:
     """What a calibration finds in a capture."""
 
-    def find(capture: Capture, chosen: tuple[str, ...] = ("level", *GROUPS)) -> Scene3:
+    def find(capture: Capture, chosen: tuple[str, ...] = ("level", *GROUPS)) -> Calibrated:
         with TemporaryDirectory() as scratch:
             room, lights, flat_field = read(capture, Path(scratch))
         found = calibrate(room, lights, flat_field, chosen)
-        return Scene3(
+        return Calibrated(
             room, lights, flat_field, found, smooth_errors(found, lights, room.grid), capture.height
         )
 
@@ -119,7 +119,7 @@ def calibrated() -> Callable[..., Scene3]:
 
 @pytest.fixture(scope="session")
 def simulated(tmp_path_factory) -> Callable[..., Capture]:
-    """A capture 240 px wide; ``level`` mm above the flat, its paint or its flat perhaps not matt."""
+    """A capture 200 px wide; ``level`` mm above the flat, its paint or its flat perhaps not matt."""
 
     def make(
         scene: str = "painting",
@@ -139,7 +139,7 @@ def simulated(tmp_path_factory) -> Callable[..., Capture]:
                 folder / "capture",
                 load_stand(stand),
                 scene=scene,
-                **{"width": 240, "seed": 4, **options},
+                **{"width": 200, "seed": 4, **options},
             )
         return Capture(folder / "capture", Store(folder / "store"))
 
@@ -236,14 +236,14 @@ def rough() -> Callable[[float], Callable[..., Any]]:
 
 
 @pytest.fixture(scope="session")
-def matt(simulated, calibrated) -> tuple[Capture, Scene3]:
+def matt(simulated, calibrated) -> tuple[Capture, Calibrated]:
     """The sound painting, and its calibration."""
     capture = simulated()
     return capture, calibrated(capture)
 
 
 @pytest.fixture(scope="session")
-def varnished(simulated, calibrated) -> tuple[Capture, Scene3]:
+def varnished(simulated, calibrated) -> tuple[Capture, Calibrated]:
     """The varnished painting of the simulator (Blinn and Phong), and its calibration."""
     capture = simulated(varnish=True)
     return capture, calibrated(capture)

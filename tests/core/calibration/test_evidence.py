@@ -89,3 +89,25 @@ def test_values_are_held_at_the_centre_of_the_prior():
     free = list(found.free)
     balance = right[free] - matrix[np.ix_(free, free)] @ found.values[free]
     np.testing.assert_allclose(balance, PRECISIONS[free] * (found.values - centres)[free], atol=1e-9)
+
+
+def test_of_alternatives_of_one_name_the_better_one_is_believed_alone():
+    kinds = [Group("one", (1,), False), Group("one", (2, 4), False), Group("one", (1, 2, 4), False)]
+    _, _, matrix, right = equations(np.array([1.0, 0.9, 0, 0, 0, 0]))
+    found = choose(matrix, right, PRECISIONS, NONE, kinds)
+    assert (found.believed, found.free) == (("one",), (0, 1))
+    _, _, matrix, right = equations(np.array([1.0, 0, 0.7, 0, -0.8, 0]))
+    found = choose(matrix, right, PRECISIONS, NONE, kinds)
+    assert (found.believed, found.free) == (("one",), (0, 2, 4))
+    every = choose(matrix, right, PRECISIONS, NONE, kinds, every=True)
+    assert (every.believed, every.free) == (("one",), (0, 1, 2, 4))
+
+
+def test_a_level_that_is_not_sought_is_not_fitted():
+    _, _, matrix, right = equations(np.array([3.0, 0.9, -0.8, 0, 0, 0]))
+    found = choose(matrix, right, PRECISIONS, NONE, KINDS[:1], always=())
+    assert found.values[0] == 0
+    assert found.free == (1, 2)
+    nothing = choose(matrix, right, PRECISIONS, NONE, [], always=())
+    assert (nothing.free, nothing.believed, nothing.evidence) == ((), (), 0)
+    assert not nothing.values.any()

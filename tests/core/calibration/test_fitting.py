@@ -5,6 +5,7 @@ import pytest
 
 from nlights_core.calibration.fitting import _larger, calibrate
 from nlights_core.calibration.linearisation import residual_spread
+from nlights_core.calibration.record import MISFIT
 from nlights_core.errors import TileError
 
 TILTING = np.array([0.9924, 0.9736, 1.0081, 1.0182, 1.004, 0.997, 1.002, 0.998])
@@ -30,12 +31,12 @@ def strength_errors(scene, factors):
 def test_in_a_sound_capture_nothing_is_believed_but_the_level(matt):
     _, scene = matt
     shared, (error, sigma) = scene.found.shared, level_error(scene)
-    assert scene.found.believed == ()
-    assert scene.found.free == (0,)
+    assert scene.found.believed == ("level",)
+    assert np.flatnonzero(np.diag(scene.found.covariance)).tolist() == [0]
     assert not shared.vector()[1:].any()
     assert abs(error) < 2 * sigma < 0.1
     assert scene.deviations.std() < 0.012
-    assert scene.errors.residual < 0.0005
+    assert scene.errors.residual < MISFIT
     assert not scene.found.strange.any()
 
 
@@ -43,7 +44,7 @@ def test_in_a_sound_capture_nothing_is_believed_but_the_level(matt):
 def test_other_sound_scenes_are_believed_to_be_sound(simulated, calibrated, scene):
     found = calibrated(simulated(scene, width=200, seed=7))
     error, sigma = level_error(found)
-    assert found.found.believed == ()
+    assert found.found.believed == ("level",)
     assert abs(error) < 2.5 * sigma < 0.15
     assert found.deviations.std() < 0.012
 
@@ -52,7 +53,7 @@ def test_other_sound_scenes_are_believed_to_be_sound(simulated, calibrated, scen
 def test_a_capture_that_was_raised_by_millimetres_is_found_where_it_is(simulated, calibrated, level):
     scene = calibrated(simulated(level=level))
     error, sigma = level_error(scene)
-    assert scene.found.believed == ()
+    assert scene.found.believed == ("level",)
     # Lamps are extended and the flat is smoothed: that is 1.5 % of a level.
     assert abs(error) < 2 * np.hypot(sigma, 0.015 * level)
     assert abs(error) < 0.1
@@ -63,13 +64,16 @@ CHANCE = 1 + np.random.default_rng(2).normal(0, 0.01, 8)
 
 
 @pytest.mark.parametrize(
-    ("artwork", "stand", "factors"),
-    [("painting", "vertical-dark", TILTING), ("relief", "horizontal", CHANCE)],
+    ("artwork", "stand", "factors", "bend"),
+    [("painting", "vertical-dark", TILTING, 0.035), ("relief", "horizontal", CHANCE, 0.05)],
 )
-def test_lamps_that_drifted_neither_tilt_nor_bend_the_height(simulated, calibrated, artwork, stand, factors):
+def test_lamps_that_drifted_neither_tilt_nor_bend_the_height(
+    simulated, calibrated, artwork, stand, factors, bend
+):
     scene = calibrated(simulated(artwork, stand).change(drifted(factors), ""))
-    assert scene.found.believed == ("lamps",)
-    assert scene.deviations.std() < 0.035
+    assert scene.found.believed == ("level", "lamps")
+    wide = np.sqrt(np.mean(scene.errors.height.astype(float) ** 2))
+    assert scene.deviations.std() < min(bend, 2 * wide)
     np.testing.assert_allclose(strength_errors(scene, factors), 0, atol=2e-3)
     error, sigma = level_error(scene)
     assert abs(error) < 2.5 * sigma < 0.15
@@ -78,7 +82,7 @@ def test_lamps_that_drifted_neither_tilt_nor_bend_the_height(simulated, calibrat
 def test_one_lamp_that_was_replaced_is_found_as_it_is(simulated, calibrated):
     factors = np.where(np.arange(8) == 5, 1.15, 1.0)
     scene = calibrated(simulated(seed=5).change(drifted(factors), ""))
-    assert scene.found.believed == ("lamps",)
+    assert scene.found.believed == ("level", "lamps")
     np.testing.assert_allclose(strength_errors(scene, factors), 0, atol=4e-3)
     assert scene.deviations.std() < 0.05
     wide = np.sqrt(np.mean(scene.errors.height.astype(float) ** 2))
@@ -92,7 +96,7 @@ def test_light_that_the_dark_frame_lacks_is_found(simulated, calibrated):
     added = 0.03 * mean * 65535
     scene = calibrated(capture.change(lambda light, _: light + added, "", "flat/"))
     share = added / 65535 / np.exp(scene.flat_field.logarithm).mean()
-    assert scene.found.believed == ("ambient",)
+    assert scene.found.believed == ("level", "ambient")
     assert scene.found.shared.additive + scene.found.shared.room == pytest.approx(share, rel=0.05)
     assert scene.found.shared.additive == pytest.approx(share, rel=0.1)
     error, sigma = level_error(scene)
@@ -102,7 +106,7 @@ def test_light_that_the_dark_frame_lacks_is_found(simulated, calibrated):
 
 def test_rough_paint_departs_as_oren_and_nayar_say(simulated, calibrated, rough):
     scene = calibrated(simulated(paint=rough(0.5)))
-    assert scene.found.believed == ("departure",)
+    assert scene.found.believed == ("level", "departure")
     # B / A of their model.
     ratio = 0.45 * 0.25 / 0.34 / (1 - 0.5 * 0.25 / 0.58)
     assert scene.found.shared.departure == pytest.approx(ratio, rel=0.05)
@@ -113,7 +117,7 @@ def test_rough_paint_departs_as_oren_and_nayar_say(simulated, calibrated, rough)
 
 def test_satin_is_taken_for_gloss_and_neither_for_height_nor_for_drift(simulated, calibrated, satin):
     scene = calibrated(simulated(paint=satin(0.04, 0.5)))
-    assert scene.found.believed == ("gloss",)
+    assert scene.found.believed == ("level", "gloss")
     # Between lobes the sum is what counts: 1 is a reflectance of 0.04.
     assert scene.found.shared.gloss.sum() == pytest.approx(1, abs=0.2)
     error, sigma = level_error(scene)
@@ -123,7 +127,7 @@ def test_satin_is_taken_for_gloss_and_neither_for_height_nor_for_drift(simulated
 
 def test_a_glossy_flat_is_told_from_a_glossy_artwork(simulated, calibrated, satin):
     scene = calibrated(simulated(flat=satin(0.04, 0.35)))
-    assert scene.found.believed == ("flat-gloss",)
+    assert scene.found.believed == ("level", "flat-gloss")
     assert scene.found.shared.flat_gloss.sum() == pytest.approx(1, abs=0.2)
     assert not scene.found.shared.gloss.any()
     error, sigma = level_error(scene)
@@ -140,8 +144,8 @@ def test_a_group_that_is_not_sought_is_not_found(simulated, calibrated):
 
 def test_without_the_level_a_raised_capture_stays_in_the_plane_of_the_flat(simulated, calibrated):
     scene = calibrated(simulated("plane", level=1.0, width=160), ())
+    assert scene.found.believed == ()
     assert scene.found.shared.level == 0
-    assert scene.found.free == ()
     assert scene.found.height.mean() == pytest.approx(0, abs=1e-4)
     assert not scene.found.covariance.any()
 
@@ -161,7 +165,7 @@ def test_patches_of_another_material_have_no_say(simulated, calibrated):
     outside[patch] = False
     assert scene.found.strange[patch].mean() > 0.9
     assert scene.found.strange[outside].mean() < 0.02
-    assert scene.found.believed == ()
+    assert scene.found.believed == ("level",)
     error, sigma = level_error(scene)
     assert abs(error) < 3 * sigma < 0.2
 
@@ -173,7 +177,7 @@ def test_a_tile_of_one_colour_has_a_level_too(simulated, calibrated):
         lambda light, _: light + random.normal(0, 1500, light.shape), ""
     )
     scene = calibrated(capture)
-    assert scene.found.believed == ()
+    assert scene.found.believed == ("level",)
     error, sigma = level_error(scene)
     assert abs(error) < 2.5 * sigma < 1.5
 
@@ -207,7 +211,7 @@ def test_what_is_not_known_of_a_field_does_not_keep_its_level_from_being_found(m
         found = calibrate(scene.room, scene.lights, scene.flat_field, ("level", "lamps", "gloss"))
     finally:
         scene.room.inside[:] = saved
-    assert found.believed == ()
+    assert found.believed == ("level",)
     right = scene.height[:, 80:].mean()
     assert found.height[:, 80:].mean() == pytest.approx(right, abs=0.15)
 

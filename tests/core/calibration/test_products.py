@@ -73,6 +73,15 @@ def test_without_a_calibration_no_uncertainty_of_the_height_is_stated(matt, with
     assert not (capture.products(without_calibration) / "height_uncertainty.tif").exists()
 
 
+def test_under_distant_lamps_nothing_is_sought_and_nothing_stated(simulated):
+    capture = simulated("plane", width=96)
+    record = load_recipe("default").record()
+    record["light_model"] = {"use": "measured-poi", "distant": True}
+    maps = capture.products(load_recipe({**record, "name": "distant"}))
+    assert np.isfinite(tifffile.imread(maps / "height.tif")).all()
+    assert not (maps / "height_uncertainty.tif").exists()
+
+
 def test_the_store_says_what_was_found(varnished):
     capture, scene = varnished
     capture.products(load_recipe("default"))

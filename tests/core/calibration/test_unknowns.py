@@ -31,14 +31,27 @@ def test_what_all_share_is_read_back_from_its_vector(lamps):
 
 
 @pytest.mark.parametrize("lamps", [3, 8])
-def test_every_unknown_but_the_level_belongs_to_one_group(lamps):
-    places = [place for group in groups(lamps) for place in group.places]
+def test_every_unknown_but_the_level_belongs_to_groups_of_one_name(lamps):
+    by_name: dict[str, set[int]] = {}
+    for group in groups(lamps):
+        by_name.setdefault(group.name, set()).update(group.places)
+    places = [place for some in by_name.values() for place in some]
     assert sorted(places) == list(range(1, len(nothing(lamps).vector())))
+
+
+def test_of_alternatives_the_last_has_all_that_the_others_have():
+    """The rounds without a choice fit the last of each name."""
+    last = {group.name: group for group in groups(8)}
+    for group in groups(8):
+        assert set(group.places) <= set(last[group.name].places)
+    kinds = [{LOBES[place - 9][0] for place in group.places} for group in groups(8) if group.name == "gloss"]
+    assert {"ggx"} in kinds
+    assert kinds[-1] == {"ggx", "beckmann"}
 
 
 def test_a_group_moves_what_its_name_says():
     moved = {}
-    for group in groups(4):
+    for group in groups(4):  # of alternatives, the last
         vector = nothing(4).vector()
         vector[list(group.places)] = 1
         shared = from_vector(vector, 4)

@@ -10,7 +10,7 @@ from nlights_core.calibration.unknowns import nothing
 from nlights_core.report.calibration_quality import of_calibration
 
 UNCERTAINTY = np.array([np.full((3, 4), 0.02), np.full((3, 4), 0.001)], np.float32)
-SOUND_CAPTURE = Known(replace(nothing(3), level=0.5), 0.04, (), 0.0002, 0.0, 0.0)
+SOUND_CAPTURE = Known(replace(nothing(3), level=0.5), 0.04, (), 0.0002, False, 0.0, 0.0)
 
 
 def changed(**values):
@@ -40,6 +40,10 @@ def test_a_sound_capture_has_its_level_and_no_warning():
         "Rays that miss the flat": 0,
     }
     assert not any(number.warning for number in found.values())
+
+
+def test_a_residual_that_noise_explains_is_no_misfit():
+    assert not any(number.warning for number in numbers(changed(residual=0.0012)).values())
 
 
 def test_the_numbers_are_the_same_without_a_calibration_and_none_is_measured():
@@ -82,7 +86,7 @@ FLAT_GLOSS[5] = 0.5
         ({"strengths": np.log([1.02, 0.99, 1.0])}, "drift", "changed by 3.0 %"),
         ({"additive": 0.01}, "additive-light", "1.0 % of light that the dark frame lacks"),
         ({"flat_gloss": FLAT_GLOSS}, "flat-gloss", "highlights of 2.0 %"),
-        ({"residual": 0.0012}, "model-misfit", "0.12 % in patches"),
+        ({"residual": 0.0012, "misfit": True}, "model-misfit", "0.12 % in patches"),
         ({"unreached": 0.004}, "flat-reach", "0.4 % of the lamps' rays"),
     ],
 )

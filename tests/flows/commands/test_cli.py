@@ -18,6 +18,7 @@ PRODUCTS = {
     "albedo_view.tif",
     "confidence.tif",
     "height.tif",
+    "height_uncertainty.tif",
     "mesh.glb",
     "mesh.ply",
     "normals.tif",

@@ -45,6 +45,21 @@ def test_values_are_read_as_yaml_scalars():
     assert [on.name, off.name] == ["integrable on", "integrable off"]
 
 
+def test_variants_seek_what_their_recipe_seeks_unless_the_grid_says_otherwise():
+    everything = load_recipe("default").calibration
+    for variant in variants_of([], ["normals=robust,least-squares"]):
+        assert variant.calibration == everything
+    on, off, none = (
+        variants_of([], ["calibration.lamps=true,false"])
+        + variants_of([], ["calibration=none", "passes=1,2"])[:1]
+    )
+    assert [on.name, off.name, none.name] == ["lamps on", "lamps off", "calibration none + passes 1"]
+    assert (on.calibration, none.calibration) == (everything, None)
+    assert off.calibration == everything.model_copy(update={"lamps": False})
+    added = variants_of([], ["calibration.gloss=true,false"], "paper")[1].calibration
+    assert added == everything.model_copy(update={"gloss": False})
+
+
 def test_files_and_a_grid_add_up():
     names = [recipe.name for recipe in variants_of(["psbox"], ["passes=1,2"], "paper")]
     assert names == ["psbox", "passes 1", "passes 2"]
@@ -62,6 +77,9 @@ def test_files_and_a_grid_add_up():
         ("normals.shade=0.1", "--grid normals.shade: unknown field; allowed here: shadow"),
         ("passes=0", "--grid passes: should be at least 1; got 0"),
         ("passes=9", "--grid passes: should be at most 5; got 9"),
+        ("calibration=3", "--grid calibration: "),
+        ("calibration.lamp=true", "--grid calibration.lamp: unknown field"),
+        ("calibration.lamps=perhaps", "--grid calibration.lamps: "),
         ("passes=1,1", "the value 1 stands twice"),
         ("passes=[1,2]", "should be plain values between commas"),
         ("passes=1,", "should be plain values between commas"),
