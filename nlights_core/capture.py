@@ -74,6 +74,13 @@ class Sphere(Record):
     )
 
 
+class TurnedFlats(Record):
+    """Further photographs of the flat, with the board turned in its plane."""
+
+    turn_deg: float = Field(description="anticlockwise as the camera sees it, against the first set")
+    flats: dict[str, Path] = Field(description="one photograph per lamp, absolute paths")
+
+
 class GivenLights(Record):
     """Files that state the lights (formats: see the given-directions light model)."""
 
@@ -114,6 +121,7 @@ class Tile(Record):
     )
     frames: dict[str, Path] = Field(description="one photograph per lamp")
     flats: dict[str, Path] | None = Field(default=None, description="photographs of a flat, per lamp")
+    turned_flats: tuple[TurnedFlats, ...] = ()
     flats_averaged: int | None = Field(
         default=None, ge=1, description="of how many exposures each flat is the mean, where that is stated"
     )

@@ -5,11 +5,11 @@ from __future__ import annotations
 import re
 from collections.abc import Collection
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, Discriminator, Field, Tag
 
-from nlights_core.capture import Encoding, GivenLights, HeightFile, Sensor, Sphere, Tile
+from nlights_core.capture import Encoding, GivenLights, HeightFile, Sensor, Sphere, Tile, TurnedFlats
 from nlights_core.capture_warnings import CaptureWarning
 from nlights_core.configurations import Source, load_stand
 from nlights_core.errors import CaptureError, StandError
@@ -43,6 +43,22 @@ class _Sphere(Record):
     outline: str | None = None
 
 
+class _FlatSet(Record):
+    frames: Frames
+    turn_deg: float = Field(default=0.0, ge=-360, le=360)
+
+
+def _sets_or_set(given: object) -> str:
+    several = isinstance(given, list) and any(isinstance(one, (dict, _FlatSet)) for one in given)
+    return "sets" if several else "set"
+
+
+Flats = Annotated[
+    Annotated[list[_FlatSet], Tag("sets")] | Annotated[Frames, Tag("set")], Discriminator(_sets_or_set)
+]
+"""Photographs of the flat, or several sets of them, between which the board was turned in its plane."""
+
+
 class _Lights(Record):
     directions: str
     intensities: str | None = None
@@ -59,7 +75,7 @@ class _Tile(Record):
     name: PlainText
     origin_mm: tuple[float, float] = (0.0, 0.0)
     frames: Frames | None = None
-    flats: Frames | None = None
+    flats: Flats | None = None
     dark: str | None = None
     mask: str | None = None
     known_heights: _KnownHeights | None = None
@@ -72,7 +88,7 @@ class Manifest(Record):
     priority: int = Field(default=0, description="in a night's order: higher goes first")
     stand: str | None = Field(default=None, description="name of a shipped stand, or a file of the capture")
     frames: Frames | None = None
-    flats: Frames | None = None
+    flats: Flats | None = None
     dark: str | None = None
     mask: str | None = None
     chrome_spheres: list[_Sphere] = Field(default=[])
@@ -180,7 +196,7 @@ class _Reader:
         self._names.add(entry.name.casefold())
         whole, self.paths.notes = self.manifest, []
 
-        def either(field: str) -> tuple[Location, Frames | str | None]:
+        def either(field: str) -> tuple[Location, Any]:
             own = getattr(entry, field)
             return ((*at, field), own) if own is not None else ((field,), getattr(whole, field))
 
@@ -189,11 +205,7 @@ class _Reader:
         mask = None if auto_mask else self._optional(*either("mask"), entry.name)
         others = {path for path in (dark, mask) if path}
         frames = self._frames(*either("frames"), entry.name, others)
-        flats_at, flats_given = either("flats")
-        flats = None
-        if flats_given is not None:
-            flats = self._frames(flats_at, flats_given, entry.name, others)
-            self._same_lamps(flats_at, flats, frames)
+        flats, turned = self._flats(*either("flats"), entry.name, others, frames)
         spheres = [
             self._sphere(i, sphere, entry.name, frames) for i, sphere in enumerate(whole.chrome_spheres)
         ]
@@ -209,7 +221,8 @@ class _Reader:
             stand=self.stand,
             pixel_size_mm=whole.pixel_size_mm,
             frames=frames,
-            flats={lamp: flats[lamp] for lamp in frames} if flats else None,
+            flats=flats,
+            turned_flats=turned,
             flats_averaged=whole.flats_averaged,
             dark=dark,
             mask=mask,
@@ -225,6 +238,29 @@ class _Reader:
                 for note in self.paths.notes
             ),
         )
+
+    def _flats(
+        self, at: Location, given: Any, tile: str, others: Collection[Path], frames: dict[str, Path]
+    ) -> tuple[dict[str, Path] | None, tuple[TurnedFlats, ...]]:
+        """The first set of flats, and the further ones with the board turned against it."""
+        if given is None:
+            return None, ()
+        several = isinstance(given, list) and isinstance(given[0], _FlatSet)
+        sets = given if several else [_FlatSet(frames=given)]
+        found = []
+        for i, one in enumerate(sets):
+            place: Location = (*at, i, "frames") if several else at
+            flats = self._frames(place, one.frames, tile, others)
+            self._same_lamps(place, flats, frames)
+            found.append({lamp: flats[lamp] for lamp in frames if lamp in flats})
+        turns = [one.turn_deg - sets[0].turn_deg for one in sets]
+        if len({round(turn % 360, 3) for turn in turns}) < len(turns):
+            self.paths.tell(
+                at,
+                "has two sets with the same turn_deg; state by how many degrees the board was turned for each",
+            )
+        further = zip(turns[1:], found[1:], strict=True)
+        return found[0], tuple(TurnedFlats(turn_deg=turn, flats=flats) for turn, flats in further)
 
     def _sphere(self, index: int, sphere: _Sphere, tile: str, frames: dict[str, Path]) -> Sphere:
         at: Location = ("chrome_spheres", index)

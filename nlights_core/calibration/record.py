@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from nlights_core.calibration.fitting import Calibration
-from nlights_core.calibration.two_rings import TwoAnswers
 from nlights_core.calibration.uncertainty import SmoothErrors
 from nlights_core.calibration.unknowns import Shared, from_vector, nothing
 from nlights_core.files.arrays import write_array
@@ -28,8 +27,42 @@ NOISIER = 2.5
 """Times the variance of the flats' noise above which the photographs' is another.  Sound captures have 0.9 to 1.1,
 flats that are means of four exposures 4; a camera that moved by a pixel between lamps makes 2."""
 
+CHANCE = 2.0
+"""As many times what noise explains must the difference be as well."""
+
 MODEL = 0.015
 """Share of a level by which the model is wrong: lamps that are extended, a flat that is smoothed."""
+
+
+@dataclass(frozen=True)
+class TwoAnswers:
+    """Difference of the heights by two halves of the lamps.
+
+    Attributes
+    ----------
+    difference : float
+        After the best constant, rms, without what noise explains, mm.
+    noise : float
+        What noise explains, mm.
+    low, high : tuple of str
+        The lamps of each half.
+    rings : bool
+        Whether the halves are the low and the high lamps.
+    limit : float
+        Difference above which something is wrong, mm.
+    """
+
+    difference: float
+    noise: float
+    low: tuple[str, ...]
+    high: tuple[str, ...]
+    rings: bool
+    limit: float
+
+    @property
+    def disagree(self) -> bool:
+        """Test whether the halves differ by more than a sound capture and its noise explain."""
+        return self.difference > max(self.limit, CHANCE * self.noise)
 
 
 @dataclass(frozen=True)

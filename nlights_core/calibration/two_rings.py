@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
 
 import numpy as np
 
 from nlights_core.calibration.correction import SHADOW, take_out_gloss
 from nlights_core.calibration.fitting import Calibration
 from nlights_core.calibration.linearisation import CELL, coarse_grid, fill
+from nlights_core.calibration.record import TwoAnswers
 from nlights_core.calibration.sampling import corrected, flat_field_of, within_flat
 from nlights_core.fields import LightField
 from nlights_core.frames import Array
@@ -36,40 +36,6 @@ DRAWS = 8
 MOST = 1.2e-4
 """Difference, as a share of the field's longer side, above which something is wrong: 0.06 mm on 500 mm.  Whatever
 bends a height scales with the field.  Sound matt captures reach a quarter of it, well calibrated gloss a half."""
-
-CHANCE = 2.0
-"""As many times what noise explains must the difference be as well."""
-
-
-@dataclass(frozen=True)
-class TwoAnswers:
-    """Difference of the heights by two halves of the lamps.
-
-    Attributes
-    ----------
-    difference : float
-        After the best constant, rms, without what noise explains, mm.
-    noise : float
-        What noise explains, mm.
-    low, high : tuple of str
-        The lamps of each half.
-    rings : bool
-        Whether the halves are the low and the high lamps.
-    limit : float
-        Difference above which something is wrong, mm.
-    """
-
-    difference: float
-    noise: float
-    low: tuple[str, ...]
-    high: tuple[str, ...]
-    rings: bool
-    limit: float
-
-    @property
-    def disagree(self) -> bool:
-        """Test whether the halves differ by more than a sound capture and its noise explain."""
-        return self.difference > max(self.limit, CHANCE * self.noise)
 
 
 def compare_halves(

@@ -1,8 +1,10 @@
 """Manifests: three ways to name photographs, and every way to get them wrong."""
 
+import shutil
 from pathlib import Path
 
 import pytest
+import yaml
 
 from nlights_core.errors import CaptureError, StandError
 from nlights_core.manifest import load_capture
@@ -161,3 +163,46 @@ def test_a_missing_manifest_and_an_unknown_stand_are_told(tmp_path):
     path = write(tmp_path, 'artwork: {id: a}\nframes: "{n}.tif"\n')
     with pytest.raises(StandError, match="shipped are"):
         load_capture(path, stand="nowhere")
+
+
+def test_flats_may_be_several_sets_with_the_board_turned(capture):
+    shutil.copytree(capture / "flat", capture / "turned")
+    manifest = capture / "artwork.yaml"
+    fields = yaml.safe_load(manifest.read_text())
+    fields["flats"] = [
+        {"frames": "flat/light_{n}.tif", "turn_deg": 10},
+        {"frames": "turned/light_{n}.tif", "turn_deg": 190},
+    ]
+    manifest.write_text(yaml.safe_dump(fields))
+    tile = load_capture(capture)[0]
+    assert {path.parent.name for path in tile.flats.values()} == {"flat"}
+    (further,) = tile.turned_flats
+    assert further.turn_deg == 180
+    assert list(further.flats) == list(tile.frames)
+    assert {path.parent.name for path in further.flats.values()} == {"turned"}
+
+
+@pytest.mark.parametrize(
+    ("sets", "said"),
+    [
+        ([("flat/light_{n}.tif", 0), ("turned/light_{n}.tif", 360)], "two sets with the same turn_deg"),
+        ([("flat/light_{n}.tif", 0), ("turned/light_{m}.tif", 90)], "flats.1.frames: the pattern"),
+        ([("flat/light_{n}.tif", 0), ("turned/light_{n}.tif", "half")], "should be a number; got 'half'"),
+    ],
+)
+def test_faulty_sets_of_flats_are_refused_with_their_place(capture, sets, said):
+    shutil.copytree(capture / "flat", capture / "turned")
+    manifest = capture / "artwork.yaml"
+    fields = yaml.safe_load(manifest.read_text())
+    fields["flats"] = [{"frames": frames, "turn_deg": turn} for frames, turn in sets]
+    manifest.write_text(yaml.safe_dump(fields))
+    with pytest.raises(CaptureError, match=said):
+        load_capture(capture)
+
+
+@pytest.mark.parametrize("number", [0, 2.5, "many"])
+def test_flats_averaged_counts_exposures(capture, number):
+    manifest = capture / "artwork.yaml"
+    manifest.write_text(manifest.read_text() + f"flats_averaged: {number}\n")
+    with pytest.raises(CaptureError, match="flats_averaged"):
+        load_capture(capture)

@@ -7,8 +7,8 @@ import pytest
 import tifffile
 
 from nlights_core.calibration.fitting import calibrate
-from nlights_core.calibration.record import read_calibration
-from nlights_core.calibration.two_rings import TwoAnswers, compare_halves, divide_lamps
+from nlights_core.calibration.record import TwoAnswers, read_calibration
+from nlights_core.calibration.two_rings import compare_halves, divide_lamps
 from nlights_core.configurations import load_stand
 from nlights_core.fields import LightField
 from nlights_core.manifest import load_capture
@@ -49,7 +49,7 @@ def spoil(folder, lamp, factor):
 
 
 def answers(folder, scratch, groups=()):
-    """What the two halves say, by a calibration that believes in the level and some groups."""
+    """What the two halves say, by a calibration that seeks the level and some groups."""
     tile, recipe, store = load_capture(folder)[0], load_recipe("default"), Store(scratch / "store")
     lamps = lights(store, tile, recipe.light_model)
     store.ensure(lamps)
@@ -58,7 +58,7 @@ def answers(folder, scratch, groups=()):
     field, divisor = read_lights(store, lamps.ref), read_flat_field(store.path(white.ref))
     with darkroom(tile, scratch) as room:
         small = reduced_room(room, lambda _: None)
-    return compare_halves(small, field, divisor, calibrate(small, field, divisor, groups))
+    return compare_halves(small, field, divisor, calibrate(small, field, divisor, ("level", *groups)))
 
 
 def test_a_sound_capture_gives_the_same_height_twice(relief, tmp_path):
@@ -160,7 +160,7 @@ def test_the_stage_keeps_it_and_the_report_says_it(place, tmp_path):
     store.ensure(lamps)
     white = flat_field(store, tile, recipe.detrend.images, lamps.ref)
     store.ensure(white)
-    work = calibration(store, tile, lamps.ref, white.ref, ())
+    work = calibration(store, tile, lamps.ref, white.ref, ("level",))
     store.ensure(work)
     known = read_calibration(store.path(work.ref))
     assert isinstance(known.answers, TwoAnswers)
