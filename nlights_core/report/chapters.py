@@ -206,12 +206,14 @@ def _height(views: Views, height: Array) -> Iterable[Picture]:
         profile=(min(across, 100.0), min(down, 100.0)),
         aspect=views.width / views.tall,
     )
+    doubt = views.maps.get("height_uncertainty")
+    band = " The grey band is twice its uncertainty to either side." if doubt is not None else ""
     yield Picture(
         "Height profiles",
         f"Height in {unit} along the middle row and the middle column, every pixel; heights are exaggerated "
-        "against lengths.",
+        f"against lengths.{band}",
         "Two line plots of height along the middle row and the middle column",
-        plots.profiles(views.maps["height"], grid, factor, unit),
+        plots.profiles(views.maps["height"], grid, factor, unit, doubt),
         layout="wide",
     )
 
@@ -242,6 +244,20 @@ def _trust(views: Views) -> Iterable[Picture]:
             "agree. Dark colours and places that few lamps reach are less certain. "
             f"{CHECKED_ON}",
             "Map of the uncertainty of the normals, dark where it is small",
+            image,
+            bar=bar,
+            scale=views.scale,
+        )
+    doubt = views.of("height_uncertainty")
+    if doubt is not None:
+        factor, unit = views.height_unit
+        ends = pictures.robust_range(doubt, from_zero=True)
+        image, bar = pictures.coloured(doubt, ends, "cividis", f"Uncertainty of the height in {unit}", factor)
+        yield Picture(
+            "Uncertainty of the height",
+            "Standard uncertainty after the best constant: by noise, by how well light, level and gloss are known, "
+            "and by what the model misses. It does not cover a flat that is not plane.",
+            "Map of the uncertainty of the height, dark where it is small",
             image,
             bar=bar,
             scale=views.scale,

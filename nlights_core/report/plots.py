@@ -47,7 +47,9 @@ def _plain(axes: Axes) -> None:
     axes.set_axisbelow(True)
 
 
-def profiles(height: Array, grid: PixelGrid, scale: float, unit: str) -> str:
+def profiles(
+    height: Array, grid: PixelGrid, scale: float, unit: str, uncertainty: Array | None = None
+) -> str:
     """Height along the middle row (A to A') and the middle column (B to B').
 
     Parameters
@@ -60,6 +62,8 @@ def profiles(height: Array, grid: PixelGrid, scale: float, unit: str) -> str:
         ``height * scale`` is in ``unit``.
     unit : str
         Of the drawn heights.
+    uncertainty : (H, W) array, optional
+        Standard uncertainty of the height; twice of it is drawn to either side.
 
     Returns
     -------
@@ -68,14 +72,18 @@ def profiles(height: Array, grid: PixelGrid, scale: float, unit: str) -> str:
     """
     figure = _figure(7.5, 5.4)
     figure.subplots_adjust(left=0.115, right=0.985, bottom=0.095, top=0.95, hspace=0.44)
-    lines = (
-        ("A \N{EN DASH} A\u2032  along x, left to right", grid.x(), height[grid.rows // 2], ACCENT),
-        ("B \N{EN DASH} B\u2032  along y, bottom to top", grid.y(), height[:, grid.columns // 2], SECOND),
+    lines: tuple[tuple[str, Array, Any, str], ...] = (
+        ("A \N{EN DASH} A\u2032  along x, left to right", grid.x(), (grid.rows // 2, slice(None)), ACCENT),
+        ("B \N{EN DASH} B\u2032  along y, bottom to top", grid.y(), (slice(None), grid.columns // 2), SECOND),
     )
-    for i, (title, place, z, colour) in enumerate(lines, start=1):
+    for i, (title, place, line, colour) in enumerate(lines, start=1):
         axes = figure.add_subplot(2, 1, i)
         marker = "." if len(place) < 50 else ""
-        axes.plot(place, np.asarray(z, float) * scale, color=colour, linewidth=0.9, marker=marker)
+        z = np.asarray(height[line], float) * scale
+        if uncertainty is not None:
+            doubt = 2 * np.asarray(uncertainty[line], float) * scale
+            axes.fill_between(place, z - doubt, z + doubt, color=QUIET, alpha=0.35, linewidth=0)
+        axes.plot(place, z, color=colour, linewidth=0.9, marker=marker)
         half = 0.5 * len(place) * grid.pixel_size
         axes.set_xlim(-half, half)
         axes.set_title(title, loc="left", fontsize=11, color=colour)

@@ -58,6 +58,8 @@ def write_report(
     maps["measured"] = maps["normals"]
     for name in ("albedo", "reflection", "normals", "confidence"):
         maps[name] = tiffs.read_tiff(made["maps"] / f"{name}.tif")
+    if (made["maps"] / "height_uncertainty.tif").is_file():
+        maps["height_uncertainty"] = tiffs.read_tiff(made["maps"] / "height_uncertainty.tif")
     if "flat_field" in made:
         maps["flat_field"] = read_flat_field(made["flat_field"]).inside(grid)
     if "bias" in made:
