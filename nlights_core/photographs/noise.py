@@ -236,7 +236,9 @@ def _left_over(strips: list[tuple[Array, Array]], readout: Array) -> tuple[Array
     """Levels, and variances per signal of what is left of the blocks of a strip under all lamps, (n, C) each."""
     usable = np.logical_and.reduce([whole for _, whole in strips])
     blocks = np.stack([_blocks(image, usable) for image, _ in strips])
-    lamps, _, area, channels = blocks.shape
+    lamps, count, area, channels = blocks.shape
+    if not count:  # a mask may leave no whole block of a strip
+        return np.empty((0, channels)), np.empty((0, channels))
     means = blocks.mean(axis=2)
     lit = (means > DIM * means.mean(axis=(0, 1))).all(axis=(0, 2))
     blocks, means = blocks[:, lit], means[:, lit]
