@@ -11,14 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from nlights_core.calibration.reflectance import FLAT_LOBES, LOBES, NORMAL_REFLECTANCE, WHITE
+from nlights_core.calibration.reflectance import FLAT_LOBES, KINDS, NORMAL_REFLECTANCE, WHITE
 from nlights_core.frames import Array
 from nlights_core.machine.compiling import inner, kernel
 
-COUNT = len(LOBES)
-SQUARES = tuple(roughness**2 for _, roughness in LOBES)
-TAILED = tuple(kind == "ggx" for kind, _ in LOBES)
-OF_FLAT = FLAT_LOBES
+COUNT = len(KINDS)
+GGX, BECKMANN, BLINN = range(3)
+FACETS = tuple(("ggx", "beckmann", "blinn").index(kind) for kind in KINDS)
+FLAT_COUNT = len(FLAT_LOBES)
+OF_FLAT = tuple(roughness for _, roughness in FLAT_LOBES)
 LOBE_SCALE = 1 / WHITE
 F0 = NORMAL_REFLECTANCE
 
@@ -43,21 +44,50 @@ def prepare(x: float, y: float, z: float, vx: float, vy: float, vz: float, ray: 
 
 
 @inner
+def masking_without_tails(cosine: float, alpha: float, slope: Any) -> float:
+    """Masking of the facets of Beckmann, as `reflectance.highlights` has it; its derivative into ``slope[0]``."""
+    slope[0] = 0.0
+    sine = 1 - cosine * cosine
+    if sine <= 1e-12:
+        return 1.0
+    sine = math.sqrt(sine)
+    a = cosine / (alpha * sine)
+    if a >= 1.6:
+        return 1.0
+    above, below = a * (3.535 + 2.181 * a), 1 + a * (2.276 + 2.577 * a)
+    by_a = (3.535 + 4.362 * a - above / below * (2.276 + 5.154 * a)) / below
+    slope[0] = by_a / (alpha * sine * sine * sine)
+    return above / below
+
+
+@inner
 def lobe(
-    square: float, tailed: bool, upright: float, lit: float, seen: float, fresnel: float, slope: Any
+    alpha: float, facet: int, upright: float, lit: float, seen: float, fresnel: float, slope: Any
 ) -> float:
     """Radiance of one highlight, as `reflectance.highlights` has it, where the surface faces lamp and camera.
 
     ``slope`` receives its derivatives by the cosines between the normal and half vector, light and view.
     """
-    if tailed:
-        spread = upright * upright * (square - 1) + 1
-        facets = square / (spread * spread)
-        steeper = -4 * upright * (square - 1) / spread
-    else:
+    square = alpha * alpha
+    if facet == BLINN:
+        power = 2 / square - 2
+        value = math.exp(power * math.log(upright)) / square * fresnel * lit / 4
+        slope[0], slope[1], slope[2] = value * power / upright, value / lit, 0.0
+        return value
+    if facet == BECKMANN:
         flat = upright * upright
         facets = math.exp((1 - 1 / flat) / square) / (square * flat * flat)
-        steeper = 2 / (square * flat * upright) - 4 / upright
+        masked = masking_without_tails(lit, alpha, slope)
+        by_lit = slope[0] / masked
+        hidden = masking_without_tails(seen, alpha, slope)
+        by_seen = slope[0] / hidden - 1 / seen
+        value = facets * fresnel * masked * hidden / (4 * seen)
+        slope[0] = value * (2 / (square * flat * upright) - 4 / upright)
+        slope[1], slope[2] = value * by_lit, value * by_seen
+        return value
+    spread = upright * upright * (square - 1) + 1
+    facets = square / (spread * spread)
+    steeper = -4 * upright * (square - 1) / spread
     root = math.sqrt(square + (1 - square) * lit * lit)
     masked = 2 * lit / (lit + root)
     far = math.sqrt(square + (1 - square) * seen * seen)
@@ -71,7 +101,7 @@ def lobe(
 
 @inner
 def shade(
-    b: Any, ray: Any, vx: float, vy: float, vz: float, gloss: Any, departure: float, own: Any, out: Any
+    b: Any, ray: Any, vx: float, vy: float, vz: float, gloss: Any, alphas: Any, departure: float, own: Any, out: Any
 ) -> float:
     """Reading of one sample of a scaled normal, and its derivatives by that, into ``out[:3]``; ``own`` is scratch."""
     bx, by, bz = b[0], b[1], b[2]
@@ -93,7 +123,7 @@ def shade(
         for j in range(COUNT):
             if gloss[j] != 0:
                 strength = scale * gloss[j]
-                value += strength * lobe(SQUARES[j], TAILED[j], upright, lit, seen, ray[10], own)
+                value += strength * lobe(alphas[j], FACETS[j], upright, lit, seen, ray[10], own)
                 to_half += strength * own[0]
                 to_light += strength * own[1]
                 to_view += strength * own[2]
@@ -156,6 +186,7 @@ def solve_normals(
     weights: Array,
     views: Array,
     gloss: Array,
+    alphas: Array,
     departure: float,
     misfit: float,
     limit: float,
@@ -175,7 +206,8 @@ def solve_normals(
         Relative to the flat.
     views : (N, 3) float32 array
         Unit vectors to the camera.
-    gloss : (K,) float64 array
+    gloss, alphas : (K,) float64 arrays
+        Strength and roughness of each lobe.
     departure : float
     misfit : float
         Share of a reading that the model may miss.
@@ -214,7 +246,7 @@ def solve_normals(
                 if not weight > 0:
                     continue
                 used += 1
-                value = shade(b, ray[k], vx, vy, vz, gloss, departure, own, slope)
+                value = shade(b, ray[k], vx, vy, vz, gloss, alphas, departure, own, slope)
                 rest = images[k, p] - value
                 w = _precision(value, weight, misfit, floor)
                 size = rest * rest * w
@@ -257,6 +289,7 @@ def linearise_samples(
     per_flat: Array,
     scaled: Array,
     gloss: Array,
+    alphas: Array,
     departure: float,
     flat_gloss: Array,
     misfit: float,
@@ -272,7 +305,7 @@ def linearise_samples(
 
     Parameters
     ----------
-    images, lights, weights, views, gloss, departure, misfit, first, last
+    images, lights, weights, views, gloss, alphas, departure, misfit, first, last
         As for `solve_normals`.
     raised_lights, raised_views : arrays of their shapes
         At a height larger by ``step``, mm.
@@ -282,7 +315,7 @@ def linearise_samples(
         What light of 1 that is always there adds to a reading.
     scaled : (N, 3) float64 array
         Scaled normals, NaN where not known.
-    flat_gloss : (K,) float64 array
+    flat_gloss : (F,) float64 array
         Strengths of the lobes of the flat.
     columns : (N, L, 1 + L + K + 3 + F) float64 array
         Receives, for what is predicted less what is observed: per mm of level; per unit of the logarithm of each
@@ -324,8 +357,8 @@ def linearise_samples(
                 np.float64(raised_lights[k, p, 0]), np.float64(raised_lights[k, p, 1]),
                 np.float64(raised_lights[k, p, 2]), wx, wy, wz, raised,
             )  # fmt: skip
-            value = shade(b, ray, vx, vy, vz, gloss, departure, own, slopes[p, k])
-            above = shade(b, raised, wx, wy, wz, gloss, departure, own, slope)
+            value = shade(b, ray, vx, vy, vz, gloss, alphas, departure, own, slopes[p, k])
+            above = shade(b, raised, wx, wy, wz, gloss, alphas, departure, own, slope)
             residuals[p, k] = images[k, p] - value
             precisions[p, k] = _precision(value, weight, misfit, floor)
             of = columns[p, k]
@@ -339,7 +372,7 @@ def linearise_samples(
             if lit > 0 and seen > 0:
                 if upright > 0:
                     for j in range(COUNT):
-                        shine = lobe(SQUARES[j], TAILED[j], upright, lit, seen, ray[10], own)
+                        shine = lobe(alphas[j], FACETS[j], upright, lit, seen, ray[10], own)
                         of[at_lobes + j] = shine * ray[3] * LOBE_SCALE
                 across = ray[11] - lit * seen
                 if across > 0:
@@ -347,12 +380,11 @@ def linearise_samples(
             of[at_departure + 1] = per_flat[k, p] * (1 - value)
             of[at_departure + 2] = per_flat[k, p] * (size - value)
             glossy = 1.0
-            for j in range(len(OF_FLAT)):
-                at = OF_FLAT[j]
-                mirrored = lobe(SQUARES[at], TAILED[at], ray[9], ray[6], vz, ray[10], own) / (WHITE * ray[6])
+            for j in range(FLAT_COUNT):
+                mirrored = lobe(OF_FLAT[j], GGX, ray[9], ray[6], vz, ray[10], own) / (WHITE * ray[6])
                 of[at_departure + 3 + j] = -value * mirrored
-                glossy += flat_gloss[at] * mirrored
-            for j in range(len(OF_FLAT)):
+                glossy += flat_gloss[j] * mirrored
+            for j in range(FLAT_COUNT):
                 of[at_departure + 3 + j] /= glossy
 
 

@@ -60,7 +60,12 @@ def take_out_gloss(band: Band, grid: PixelGrid, height: Array | None, reflectanc
     grey = band.grey.reshape(count, -1)
     scaled = np.ascontiguousarray(fit(grey, rays, weights, CONDITION).scaled.T, np.float64)
     views = view_directions(grid, grid.points(band.start, band.stop, height)).reshape(-1, 3)
-    shared = replace(nothing(count), gloss=reflectance.gloss, departure=reflectance.departure)
+    shared = replace(
+        nothing(count),
+        gloss=reflectance.gloss,
+        roughnesses=reflectance.roughnesses,
+        departure=reflectance.departure,
+    )
     improve_normals(Samples(grey, weights, rays, views), shared, scaled, 2 * TUNING, ROUNDS)
     albedo = np.linalg.norm(scaled, axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):

@@ -16,7 +16,7 @@ from nlights_core.calibration.linearisation import (
     linearise,
     smooth_residual,
 )
-from nlights_core.calibration.reflectance import LOBES
+from nlights_core.calibration.reflectance import KINDS
 from nlights_core.calibration.sampling import (
     Samples,
     choose_pixels,
@@ -24,7 +24,7 @@ from nlights_core.calibration.sampling import (
     flat_field_of,
     view_directions,
 )
-from nlights_core.calibration.unknowns import Group, Shared, groups, nothing, prior
+from nlights_core.calibration.unknowns import Group, Shared, groups, narrowed, nothing, prior
 from nlights_core.errors import TileError
 from nlights_core.fields import LightField
 from nlights_core.frames import Array
@@ -44,6 +44,9 @@ leaves a fifth of it."""
 
 WITHOUT_CHOICE = 2
 """Rounds in which all groups are fitted: before the others are nearly right, evidence of one is not."""
+
+NARROWED = {1: 0.45, 2: 0.25}
+"""After which rounds lobes are moved close to the gloss that was found, and how far apart they then reach at least."""
 
 STRANGE = 8.0
 """Pixels whose residual is so many times the median pixel's are of another material, such as gold: they have no say,
@@ -129,8 +132,10 @@ def calibrate(
     for number in range(ROUNDS):
         _follow(state, room, raw, lights, flat_field)
         assert state.equations is not None
-        found = _step(state.equations, state.shared, kinds, number < WITHOUT_CHOICE, always)
-        state.shared = state.shared.moved(found.values)
+        found = _choose(state.equations, state.shared, kinds, number < WITHOUT_CHOICE, always)
+        before, state.shared = state.shared, state.shared.moved(found.values)
+        if number in NARROWED and any(group.name == "gloss" for group in kinds):
+            state.shared = _narrow(state, before, found, kinds, NARROWED[number])
         progress((number + 1) / (ROUNDS + 1))
     assert state.equations is not None
     covariance = _covariance(state.equations, state.shared, found) + _doubt(state, found, kinds)
@@ -193,6 +198,44 @@ def _step(
     return evidence.choose(equations.matrix, right, precisions, centres, kinds, every, always)
 
 
+def _choose(
+    equations: Equations, shared: Shared, kinds: list[Group], every: bool, always: tuple[int, ...]
+) -> evidence.Found:
+    """Choose groups of which there is evidence, and which stand out of what parts of the field say differently."""
+    while True:
+        found = _step(equations, shared, kinds, every, always)
+        if every or not found.believed:
+            return found
+        covariance = _covariance(equations, shared, found)
+        _, centres = prior(shared)
+        clear = {}
+        for name in found.believed:
+            places = [p for p in found.free if any(p in group.places for group in kinds if group.name == name)]
+            apart = found.values[places] - centres[places]
+            likelihood = float(apart @ np.linalg.solve(covariance[np.ix_(places, places)], apart)) / 2
+            clear[name] = likelihood - len(places) / 2 - evidence.MARGIN
+        weakest = min(clear, key=lambda name: clear[name])
+        if clear[weakest] >= 0:
+            return found
+        kinds = [group for group in kinds if group.name != weakest]
+
+
+def _narrow(
+    state: _State, before: Shared, found: evidence.Found, kinds: list[Group], width: float
+) -> Shared:
+    """Move the lobes of each kind to where the gloss would be if it were of that kind."""
+    assert state.equations is not None
+    first = 1 + len(state.shared.strengths)
+    others = {group.name: group for group in kinds if group.name in found.believed}
+    apart = {}
+    for kind in dict.fromkeys(KINDS):
+        places = tuple(first + place for place, other in enumerate(KINDS) if other == kind)
+        trial = list({**others, "gloss": Group("gloss", places, True)}.values())
+        alone = _step(state.equations, before, trial, True, (0,) if 0 in found.free else ())
+        apart[kind] = alone.values[first : first + len(KINDS)]
+    return narrowed(state.shared, apart, width)
+
+
 def _covariance(equations: Equations, shared: Shared, found: evidence.Found) -> Array:
     """Covariance of the unknowns that were fitted, (M, M): the larger of two ways to find it.
 
@@ -217,8 +260,8 @@ def _doubt(state: _State, found: evidence.Found, kinds: list[Group]) -> Array:
     """
     assert state.equations is not None
     first = 1 + len(state.shared.strengths)
-    tails = tuple(first + place for place, (kind, _) in enumerate(LOBES) if kind == "ggx")
-    others = [first + place for place, (kind, _) in enumerate(LOBES) if kind != "ggx"]
+    tails = tuple(first + place for place, kind in enumerate(KINDS) if kind == "ggx")
+    others = [first + place for place, kind in enumerate(KINDS) if kind != "ggx"]
     out = np.zeros_like(state.equations.matrix)
     if found.values[others].sum() <= found.values[list(tails)].sum():
         return out

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nlights_core.calibration.reflectance import FLAT_LOBES, LOBES
+from nlights_core.calibration.reflectance import FLAT_LOBES, KINDS
 from nlights_core.calibration.sampling import Pixels, Samples, develop_pixels, readings_of_constant
 from nlights_core.calibration.unknowns import Shared
 from nlights_core.fields import LightField
@@ -81,8 +81,8 @@ def improve_normals(samples: Samples, shared: Shared, scaled: Array, limit: floa
     def some(first: int) -> None:
         last = min(first + 8192, len(scaled))
         solve_normals(
-            images, lights, weights, views, shared.gloss, shared.departure, MISFIT, limit, rounds, first, last,
-            scaled, surprise,
+            images, lights, weights, views, shared.gloss, shared.roughnesses, shared.departure, MISFIT, limit,
+            rounds, first, last, scaled, surprise,
         )  # fmt: skip
 
     for _ in in_order(some, range(0, len(scaled), 8192)):
@@ -122,11 +122,13 @@ def linearise(
     with np.errstate(divide="ignore", invalid="ignore"):
         dimmer = np.where(here.images != 0, above.images / here.images, 1).astype(np.float32)
     count, size = here.images.shape
-    columns = np.empty((size, count, 4 + count + len(LOBES) + len(FLAT_LOBES)))
+    columns = np.empty((size, count, 4 + count + len(KINDS) + len(FLAT_LOBES)))
     slopes, residuals, precisions = np.empty((size, count, 3)), *np.empty((2, size, count))
     given = (here.images, here.lights, here.weights, here.views, above.lights, above.views, dimmer, constant)
     a, b, c, d, e, f, g, h = (np.ascontiguousarray(array, np.float32) for array in given)
-    values = (scaled, shared.gloss, shared.departure, shared.flat_gloss, MISFIT, STEP)
+    values = (
+        scaled, shared.gloss, shared.roughnesses, shared.departure, shared.flat_gloss, MISFIT, STEP,
+    )  # fmt: skip
 
     def some(first: int, last: int) -> None:
         linearise_samples(

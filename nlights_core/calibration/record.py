@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -119,6 +119,7 @@ def write_calibration(
     record = {
         "lamps": len(found.shared.strengths),
         "values": found.shared.vector().tolist(),
+        "roughnesses": found.shared.roughnesses.tolist(),
         "level_uncertainty_mm": wide
         if "level" in found.believed and wide <= LARGEST and not misfit
         else None,
@@ -143,6 +144,7 @@ def write_nothing(folder: Path, lamps: int, grid: PixelGrid, noisier: float | No
     record = {
         "lamps": lamps,
         "values": nothing(lamps).vector().tolist(),
+        "roughnesses": nothing(lamps).roughnesses.tolist(),
         "level_uncertainty_mm": None,
         "misfit": False,
         "believed": [],
@@ -161,8 +163,9 @@ def write_nothing(folder: Path, lamps: int, grid: PixelGrid, noisier: float | No
 def read_calibration(folder: Path) -> Known:
     """Read what `write_calibration` wrote."""
     record = json.loads((folder / "calibration.json").read_text(encoding="utf-8"))
+    shared = from_vector(np.array(record["values"]), record["lamps"])
     return Known(
-        from_vector(np.array(record["values"]), record["lamps"]),
+        replace(shared, roughnesses=np.array(record["roughnesses"])),
         record["level_uncertainty_mm"],
         tuple(record["believed"]),
         record["residual"],

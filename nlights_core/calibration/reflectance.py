@@ -11,22 +11,27 @@ loops say the same in `nlights_core.calibration.compiled_reflectance`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from nlights_core.frames import Array
 
-LOBES = (
-    *(("ggx", roughness) for roughness in (0.05, 0.08, 0.13, 0.2, 0.275, 0.35, 0.45, 0.6)),
-    *(("beckmann", roughness) for roughness in (0.12, 0.15, 0.19, 0.24, 0.3, 0.375, 0.47, 0.6)),
-)
-"""Distribution of facets, and alpha, of each lobe.  With three, a gloss between two of them left a level wrong by
-several sigmas; without those of Beckmann, which have no tails, a gloss of that kind (or of Blinn, Phong and Ward,
-which are close to it) was not measured at all."""
+KINDS = ("ggx",) * 6 + ("beckmann",) * 6 + ("blinn",) * 6
+"""Distribution of facets of each lobe.  GGX has tails; Beckmann's has none; Blinn's has none and hides no facet, so that
+grazing light shines less.  Ward's lies between these two.  With GGX alone, gloss of another kind kept 0.3 mm."""
 
-FLAT_LOBES = (3, 5, 6, 7)
-"""Which of them a flat may have: it is made to be matt."""
+ROUGHNESSES = (
+    *(0.05, 0.09, 0.15, 0.25, 0.4, 0.6),
+    *(0.1, 0.14, 0.2, 0.28, 0.4, 0.6),
+    *(0.1, 0.14, 0.2, 0.28, 0.4, 0.6),
+)
+"""Alpha of each lobe to begin with.  What lies between two lobes is not the sum of both: once the gloss is roughly
+known, they are moved close to it."""
+
+FLAT_LOBES = tuple(("ggx", roughness) for roughness in (0.2, 0.35, 0.45, 0.6))
+"""Lobes that a flat may have: it is made to be matt."""
 
 NORMAL_REFLECTANCE = 0.04
 """Of a lobe of strength 1: a varnish of refractive index 1.5."""
@@ -42,13 +47,21 @@ class Reflectance:
     Attributes
     ----------
     gloss : (K,) float64 array
-        Strength of each of `LOBES`; 1: reflectance 0.04.
+        Strength of each lobe, of the kinds `KINDS`; 1: reflectance 0.04.
     departure : float
         Share c of the cross term.
+    roughnesses : (K,) float64 array
+        Alpha of each lobe.
     """
 
     gloss: Array
     departure: float
+    roughnesses: Array = field(default_factory=lambda: np.array(ROUGHNESSES))
+
+    @property
+    def lobes(self) -> list[tuple[str, float]]:
+        """Kind and alpha of each lobe."""
+        return list(zip(KINDS, self.roughnesses.tolist(), strict=True))
 
     @property
     def matt(self) -> bool:
@@ -56,13 +69,15 @@ class Reflectance:
         return not self.gloss.any() and self.departure == 0
 
 
-def highlights(normals: Array, lights: Array, views: Array) -> Array:
+def highlights(normals: Array, lights: Array, views: Array, lobes: Sequence[tuple[str, float]]) -> Array:
     """Radiance of the lobes under light of irradiance pi across the ray, for strength 1.
 
     Parameters
     ----------
     normals, lights, views : (..., 3) arrays
         Unit vectors: of the surface, to the lamp, to the camera.
+    lobes : sequence of (str, float)
+        Kind, of `KINDS`, and alpha of each.
 
     Returns
     -------
@@ -71,8 +86,10 @@ def highlights(normals: Array, lights: Array, views: Array) -> Array:
 
     References
     ----------
-    B. Walter et al., "Microfacet models for refraction through rough surfaces", EGSR 2007, equations 20, 25, 33, 34
-    (masking as of GGX for both distributions);
+    B. Walter et al., "Microfacet models for refraction through rough surfaces", EGSR 2007, equations 20, 25, 27, 30,
+    33, 34;
+    J. F. Blinn, "Models of light reflection for computer synthesized pictures", SIGGRAPH 1977 (with the power of the
+    cosine, and without masking);
     Fresnel's term by C. Schlick, "An inexpensive BRDF model", Computer Graphics Forum 13 (1994).
     """
     half = lights + views
@@ -83,21 +100,31 @@ def highlights(normals: Array, lights: Array, views: Array) -> Array:
     faces = (lit > 0) & (seen > 0) & (upright > 0)
     lit, seen = np.where(faces, lit, 1.0), np.where(faces, seen, 1.0)
     upright = np.where(faces, upright, 1.0)
-    out = np.empty((len(LOBES), *np.shape(lit)))
-    for lobe, (kind, roughness) in zip(out, LOBES, strict=True):
+    out = np.empty((len(lobes), *np.shape(lit)))
+    for lobe, (kind, roughness) in zip(out, lobes, strict=True):
         square = roughness**2
         if kind == "ggx":
             facets = square / (upright**2 * (square - 1) + 1) ** 2
-        else:
+            masking = _masking(lit, square) * _masking(seen, square)
+        elif kind == "beckmann":
             facets = np.exp((1 - 1 / upright**2) / square) / (square * upright**4)
-        masking = _masking(lit, square) * _masking(seen, square)
+            masking = _masking_without_tails(lit, roughness) * _masking_without_tails(seen, roughness)
+        else:
+            facets = upright ** (2 / square - 2) / square
+            masking = lit * seen
         lobe[...] = np.where(faces, facets * fresnel * masking / (4 * seen), 0)
     return out
 
 
 def _masking(cosine: Array, square: float) -> Array:
-    """Smith's masking of facets, of squared roughness."""
+    """Smith's masking of the facets of GGX, of squared roughness."""
     return np.asarray(2 * cosine / (cosine + np.sqrt(square + (1 - square) * cosine**2)))
+
+
+def _masking_without_tails(cosine: Array, roughness: float) -> Array:
+    """Smith's masking of the facets of Beckmann, by a rational function that is within 0.4 % of it."""
+    a = cosine / (roughness * np.sqrt(np.maximum(1 - cosine**2, 1e-12)))
+    return np.asarray(np.where(a < 1.6, (3.535 * a + 2.181 * a**2) / (1 + 2.276 * a + 2.577 * a**2), 1.0))
 
 
 def cross_term(normals: Array, lights: Array, views: Array) -> Array:
@@ -140,7 +167,7 @@ def excess(reflectance: Reflectance, normals: Array, lights: Array, views: Array
     """
     length = np.linalg.norm(lights, axis=-1)
     unit = lights / length[..., None]
-    shine = np.tensordot(reflectance.gloss, highlights(normals, unit, views), 1)
+    shine = np.tensordot(reflectance.gloss, highlights(normals, unit, views, reflectance.lobes), 1)
     return length / WHITE * shine, length * reflectance.departure * cross_term(normals, unit, views)
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from nlights_core.algorithms import PHOTONS
-from nlights_core.calibration.reflectance import WHITE, highlights
+from nlights_core.calibration.reflectance import FLAT_LOBES, WHITE, highlights
 from nlights_core.calibration.unknowns import Shared
 from nlights_core.fields import LightField
 from nlights_core.frames import Array, PixelGrid
@@ -203,7 +203,7 @@ def _mirrored(flat_field: FlatField, lights: LightField, gloss: Array) -> Array:
     for i in range(len(lights.lamps)):
         ray = np.broadcast_to(lights.only(i).vectors(points)[0], view.shape).astype(np.float64)
         ray /= np.linalg.norm(ray, axis=-1, keepdims=True)
-        lobes = highlights(np.array([0.0, 0.0, 1.0]), ray, view)
+        lobes = highlights(np.array([0.0, 0.0, 1.0]), ray, view, FLAT_LOBES)
         out[i] = np.tensordot(gloss, lobes, 1) / (WHITE * ray[..., 2])
     return out
 

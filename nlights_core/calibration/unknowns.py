@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 
-from nlights_core.calibration.reflectance import FLAT_LOBES, LOBES, Reflectance
+from nlights_core.calibration.reflectance import FLAT_LOBES, KINDS, ROUGHNESSES, Reflectance
 from nlights_core.frames import Array
 
 LEVEL_PRIOR = 5.0
@@ -61,14 +62,16 @@ class Shared:
     strengths : (L,) float64 array
         Logarithm of each lamp's strength in the frames against the flats.
     gloss : (K,) float64 array
-        Strengths of the white lobes of `nlights_core.calibration.reflectance.LOBES`.
+        Strengths of the white lobes, of the kinds `nlights_core.calibration.reflectance.KINDS`.
     departure : float
         Share of the cross term of rough paint.
     additive, room : float
         Light that is in frames and flats but not in the dark frame, and light that the surface reflects; as
         shares of the mean flat.
-    flat_gloss : (K,) float64 array
-        The same of the flat; only `nlights_core.calibration.reflectance.FLAT_LOBES` are not 0.
+    flat_gloss : (F,) float64 array
+        The same of the flat, of the lobes `nlights_core.calibration.reflectance.FLAT_LOBES`.
+    roughnesses : (K,) float64 array
+        Alpha of each lobe of the surface; not an unknown, but moved when the gloss is roughly known.
     """
 
     level: float
@@ -78,11 +81,12 @@ class Shared:
     additive: float
     room: float
     flat_gloss: Array
+    roughnesses: Array = field(default_factory=lambda: np.array(ROUGHNESSES))
 
     @property
     def reflectance(self) -> Reflectance:
         """The part that is the surface's."""
-        return Reflectance(self.gloss, self.departure)
+        return Reflectance(self.gloss, self.departure, self.roughnesses)
 
     def vector(self) -> Array:
         """All in one, in the order of the columns, (M,) float64."""
@@ -92,7 +96,7 @@ class Shared:
                 self.strengths,
                 self.gloss,
                 [self.departure, self.additive, self.room],
-                self.flat_gloss[list(FLAT_LOBES)],
+                self.flat_gloss,
             ]
         )
 
@@ -101,20 +105,62 @@ class Shared:
         found = from_vector(to, len(self.strengths))
         level = self.level + np.clip(found.level - self.level, -LARGEST_LEVEL, LARGEST_LEVEL)
         change = np.clip(found.strengths - self.strengths, -LARGEST_STRENGTH, LARGEST_STRENGTH)
-        return replace(found, level=float(level), strengths=self.strengths + change)
+        return replace(
+            found,
+            level=float(level),
+            strengths=self.strengths + change,
+            roughnesses=self.roughnesses,
+        )
+
+
+SMALLEST, LARGEST = 0.03, 0.8
+"""Alpha that a lobe may have."""
+
+
+def narrowed(shared: Shared, found: Mapping[str, Array], width: float) -> Shared:
+    """Move the lobes of each kind close to where that kind, by itself, has the gloss.
+
+    Parameters
+    ----------
+    shared : Shared
+        Present values; their gloss is handed on to the lobes nearby.
+    found : mapping of str to (K,) float64 array
+        Strengths of the lobes if the gloss is of one kind.
+    width : float
+        About how far from the middle lobes are put at least, as a logarithm.
+    """
+    logarithms, gloss = np.log(shared.roughnesses), np.zeros(len(KINDS))
+    roughnesses = shared.roughnesses.copy()
+    for kind, strengths in found.items():
+        mine = np.flatnonzero(np.array(KINDS) == kind)
+        weights = strengths[mine]
+        if not weights.sum() > 0:
+            continue
+        middle = np.average(logarithms[mine], weights=weights)
+        spread = np.sqrt(np.average((logarithms[mine] - middle) ** 2, weights=weights))
+        # Two kinds of gloss on each other spread the lobes by themselves.
+        reach = max(width, 1.5 * spread)
+        places = np.clip(
+            np.linspace(middle - reach, middle + reach, len(mine)), np.log(SMALLEST), np.log(LARGEST)
+        )
+        roughnesses[mine] = np.exp(places)
+        for old in mine:
+            at = np.interp(logarithms[old], places, np.arange(len(mine)))
+            low = min(int(at), len(mine) - 2)
+            gloss[mine[low]] += (low + 1 - at) * shared.gloss[old]
+            gloss[mine[low + 1]] += (at - low) * shared.gloss[old]
+    return replace(shared, gloss=gloss, roughnesses=roughnesses)
 
 
 def nothing(lamps: int) -> Shared:
     """A matt surface in the plane of the flat, under lamps that have not changed."""
-    return from_vector(np.zeros(4 + lamps + len(LOBES) + len(FLAT_LOBES)), lamps)
+    return from_vector(np.zeros(4 + lamps + len(KINDS) + len(FLAT_LOBES)), lamps)
 
 
 def from_vector(vector: Array, lamps: int) -> Shared:
     """Read what `Shared.vector` wrote."""
-    lobes = len(LOBES)
+    lobes = len(KINDS)
     first = 1 + lamps
-    flat_gloss = np.zeros(lobes)
-    flat_gloss[list(FLAT_LOBES)] = vector[first + lobes + 3 :]
     departure, additive, room = (float(value) for value in vector[first + lobes : first + lobes + 3])
     return Shared(
         level=float(vector[0]),
@@ -123,13 +169,13 @@ def from_vector(vector: Array, lamps: int) -> Shared:
         departure=departure,
         additive=additive,
         room=room,
-        flat_gloss=flat_gloss,
+        flat_gloss=np.array(vector[first + lobes + 3 :]),
     )
 
 
 def groups(lamps: int) -> list[Group]:
     """Groups of unknowns beside the level, which is always one; of a name one at most is believed."""
-    first, lobes = 1 + lamps, len(LOBES)
+    first, lobes = 1 + lamps, len(KINDS)
     rest = first + lobes
     return [
         Group("lamps", tuple(range(1, first)), False),
@@ -141,12 +187,11 @@ def groups(lamps: int) -> list[Group]:
 
 
 def _families() -> list[tuple[int, ...]]:
-    """Lobes of each kind by themselves, and all together."""
-    kinds = [kind for kind, _ in LOBES]
+    """Lobes of each kind by themselves, those without tails (Ward's is between them), and all together."""
     alone = [
-        tuple(place for place, other in enumerate(kinds) if other == kind) for kind in dict.fromkeys(kinds)
+        tuple(place for place, other in enumerate(KINDS) if other == kind) for kind in dict.fromkeys(KINDS)
     ]
-    return [*alone, tuple(range(len(LOBES)))]
+    return [*alone, (*alone[1], *alone[2]), tuple(range(len(KINDS)))]
 
 
 def prior(shared: Shared) -> tuple[Array, Array]:
@@ -163,7 +208,7 @@ def prior(shared: Shared) -> tuple[Array, Array]:
         [
             [LEVEL_PRIOR**-2],
             (FREEDOM + 1) / scatter,
-            np.full(len(LOBES), GLOSS_PRIOR**-2),
+            np.full(len(KINDS), GLOSS_PRIOR**-2),
             [DEPARTURE_PRIOR**-2, AMBIENT_PRIOR**-2, AMBIENT_PRIOR**-2],
             np.full(len(FLAT_LOBES), FLAT_GLOSS_PRIOR**-2),
         ]
