@@ -101,7 +101,16 @@ def lobe(
 
 @inner
 def shade(
-    b: Any, ray: Any, vx: float, vy: float, vz: float, gloss: Any, alphas: Any, departure: float, own: Any, out: Any
+    b: Any,
+    ray: Any,
+    vx: float,
+    vy: float,
+    vz: float,
+    gloss: Any,
+    alphas: Any,
+    departure: float,
+    own: Any,
+    out: Any,
 ) -> float:
     """Reading of one sample of a scaled normal, and its derivatives by that, into ``out[:3]``; ``own`` is scratch."""
     bx, by, bz = b[0], b[1], b[2]

@@ -46,7 +46,7 @@ WITHOUT_CHOICE = 2
 """Rounds in which all groups are fitted: before the others are nearly right, evidence of one is not."""
 
 NARROWED = {1: 0.45, 2: 0.25}
-"""After which rounds lobes are moved close to the gloss that was found, and how far apart they then reach at least."""
+"""After which rounds lobes are moved close to the gloss that was found, and how far they then reach at least."""
 
 STRANGE = 8.0
 """Pixels whose residual is so many times the median pixel's are of another material, such as gold: they have no say,
@@ -56,7 +56,7 @@ LOST = 0.02
 """Smoothed residual, as a share of the albedo, above which nothing is believed.  Sound captures leave 0.0005, a
 canvas 20 mm above the flat 0.01; exchanged photographs, or a table in view, more than 0.1."""
 
-UNLIKE = 0.3
+UNLIKE = 0.1
 """Share of the difference between two kinds of highlights that counts as uncertain."""
 
 SHADOW = 0.05
@@ -210,7 +210,9 @@ def _choose(
         _, centres = prior(shared)
         clear = {}
         for name in found.believed:
-            places = [p for p in found.free if any(p in group.places for group in kinds if group.name == name)]
+            places = [
+                p for p in found.free if any(p in group.places for group in kinds if group.name == name)
+            ]
             apart = found.values[places] - centres[places]
             likelihood = float(apart @ np.linalg.solve(covariance[np.ix_(places, places)], apart)) / 2
             clear[name] = likelihood - len(places) / 2 - evidence.MARGIN
@@ -220,9 +222,7 @@ def _choose(
         kinds = [group for group in kinds if group.name != weakest]
 
 
-def _narrow(
-    state: _State, before: Shared, found: evidence.Found, kinds: list[Group], width: float
-) -> Shared:
+def _narrow(state: _State, before: Shared, found: evidence.Found, kinds: list[Group], width: float) -> Shared:
     """Move the lobes of each kind to where the gloss would be if it were of that kind."""
     assert state.equations is not None
     first = 1 + len(state.shared.strengths)
@@ -255,8 +255,8 @@ def _covariance(equations: Equations, shared: Shared, found: evidence.Found) -> 
 def _doubt(state: _State, found: evidence.Found, kinds: list[Group]) -> Array:
     """Covariance that is added where a surface has highlights without tails, (M, M).
 
-    Varnish has tails.  Where lobes without them fit better, the surface is of a kind that no lobe of ours is, and
-    part of the difference between the two kinds is what may be wrong.
+    Varnish has tails.  Where lobes without them fit better, the surface is of a kind that formulas describe less
+    well, and part of the difference between the kinds is what may be wrong.
     """
     assert state.equations is not None
     first = 1 + len(state.shared.strengths)

@@ -19,8 +19,8 @@ import numpy as np
 from nlights_core.frames import Array
 
 KINDS = ("ggx",) * 6 + ("beckmann",) * 6 + ("blinn",) * 6
-"""Distribution of facets of each lobe.  GGX has tails; Beckmann's has none; Blinn's has none and hides no facet, so that
-grazing light shines less.  Ward's lies between these two.  With GGX alone, gloss of another kind kept 0.3 mm."""
+"""Distribution of facets of each lobe.  GGX has tails; Beckmann's has none; Blinn's has none, and shines less in
+grazing light.  Ward's lies between these two.  With GGX alone, gloss of another kind kept 0.3 mm."""
 
 ROUGHNESSES = (
     *(0.05, 0.09, 0.15, 0.25, 0.4, 0.6),
@@ -101,7 +101,7 @@ def highlights(normals: Array, lights: Array, views: Array, lobes: Sequence[tupl
     lit, seen = np.where(faces, lit, 1.0), np.where(faces, seen, 1.0)
     upright = np.where(faces, upright, 1.0)
     out = np.empty((len(lobes), *np.shape(lit)))
-    for lobe, (kind, roughness) in zip(out, lobes, strict=True):
+    for place, (kind, roughness) in enumerate(lobes):
         square = roughness**2
         if kind == "ggx":
             facets = square / (upright**2 * (square - 1) + 1) ** 2
@@ -112,7 +112,7 @@ def highlights(normals: Array, lights: Array, views: Array, lobes: Sequence[tupl
         else:
             facets = upright ** (2 / square - 2) / square
             masking = lit * seen
-        lobe[...] = np.where(faces, facets * fresnel * masking / (4 * seen), 0)
+        out[place] = np.where(faces, facets * fresnel * masking / (4 * seen), 0)
     return out
 
 

@@ -9,12 +9,20 @@ from nlights_core.calibration.compiled_reflectance import (
     linearise_samples,
     solve_normals,
 )
-from nlights_core.calibration.reflectance import FLAT_LOBES, LOBES, Reflectance, excess, highlights
+from nlights_core.calibration.reflectance import (
+    FLAT_LOBES,
+    KINDS,
+    ROUGHNESSES,
+    Reflectance,
+    excess,
+    highlights,
+)
 
 LAMPS, PIXELS = 8, 60
-UNKNOWNS = 4 + LAMPS + len(LOBES) + len(FLAT_LOBES)
+UNKNOWNS = 4 + LAMPS + len(KINDS) + len(FLAT_LOBES)
 MISFIT, STEP, NO_LIMIT = 0.002, 0.05, np.inf
 STEEP, DEPARTURE = 0.15, 0.3
+ALPHAS = np.array(ROUGHNESSES)
 
 
 def unit(vectors):
@@ -29,7 +37,7 @@ def scene():
     lights[..., 2] = np.abs(lights[..., 2]) + 0.7
     views = unit(random.normal([0, 0, 1], 0.1, (PIXELS, 3)))
     scaled = random.normal([0, 0, 0.6], STEEP * 0.6, (PIXELS, 3))
-    return lights.astype(np.float32), views.astype(np.float32), scaled, random.uniform(0, 1, len(LOBES))
+    return lights.astype(np.float32), views.astype(np.float32), scaled, random.uniform(0, 1, len(KINDS))
 
 
 def read(lights, views, scaled, gloss, departure=DEPARTURE):
@@ -51,9 +59,9 @@ def linearised(scene, flat_gloss=None, **changed):
         "images": none, "lights": lights, "weights": ones, "views": views, "raised_lights": lights,
         "raised_views": views, "dimmer": ones, "per_flat": ones,
     } | changed  # fmt: skip
-    flat_gloss = np.zeros(len(LOBES)) if flat_gloss is None else flat_gloss
+    flat_gloss = np.zeros(len(FLAT_LOBES)) if flat_gloss is None else flat_gloss
     linearise_samples(
-        *given.values(), scaled, gloss, DEPARTURE, flat_gloss, MISFIT, STEP, 0, PIXELS,
+        *given.values(), scaled, gloss, ALPHAS, DEPARTURE, flat_gloss, MISFIT, STEP, 0, PIXELS,
         columns, slopes, residuals, precisions,
     )  # fmt: skip
     return columns, slopes, residuals, precisions
@@ -102,12 +110,12 @@ def test_columns_of_the_surface_and_the_lamps_are_those_of_small_differences(sce
         expected = np.zeros((PIXELS, LAMPS))
         expected[:, k] = reading[k]
         np.testing.assert_allclose(columns[..., 1 + k], expected, rtol=1e-6)
-    for j in range(len(LOBES)):
-        more = gloss + 0.5 * np.eye(len(LOBES))[j]
+    for j in range(len(KINDS)):
+        more = gloss + 0.5 * np.eye(len(KINDS))[j]
         expected = (read(lights, views, scaled, more) - reading) / 0.5
         np.testing.assert_allclose(columns[..., 1 + LAMPS + j], expected.T, rtol=1e-5, atol=1e-9)
     expected = read(lights, views, scaled, gloss, DEPARTURE + 0.5) - read(lights, views, scaled, gloss)
-    np.testing.assert_allclose(columns[..., 1 + LAMPS + len(LOBES)], expected.T / 0.5, rtol=1e-5, atol=1e-9)
+    np.testing.assert_allclose(columns[..., 1 + LAMPS + len(KINDS)], expected.T / 0.5, rtol=1e-5, atol=1e-9)
 
 
 def test_columns_of_light_that_is_always_there_are_what_frames_and_flats_have_of_it(scene):
@@ -120,23 +128,22 @@ def test_columns_of_light_that_is_always_there_are_what_frames_and_flats_have_of
     step = 1e-6
     for place, own in ((-2, 1), (-1, albedo)):
         expected = ((reading + per_flat * step * own) / (1 + per_flat * step) - reading) / step
-        got = columns[..., 1 + LAMPS + len(LOBES) + 3 + place]
+        got = columns[..., 1 + LAMPS + len(KINDS) + 3 + place]
         np.testing.assert_allclose(got, expected.T, rtol=1e-4, atol=1e-6)
 
 
 @pytest.mark.parametrize("already", [0.0, 0.4])
 def test_columns_of_a_glossy_flat_are_what_divides_the_reading(scene, already):
     lights, views, scaled, gloss = scene
-    flat_gloss = np.zeros(len(LOBES))
-    flat_gloss[list(FLAT_LOBES)] = already
+    flat_gloss = np.full(len(FLAT_LOBES), already)
     columns = linearised(scene, flat_gloss)[0]
     rays, upright = unit(lights.astype(np.float64)), np.array([0.0, 0.0, 1.0])
-    shine = highlights(upright, rays, views.astype(np.float64)) / (0.9 * rays[..., 2])
+    shine = highlights(upright, rays, views.astype(np.float64), FLAT_LOBES) / (0.9 * rays[..., 2])
     reading = read(lights, views, scaled, gloss)
     present = 1 + np.tensordot(flat_gloss, shine, 1)
-    for j, lobe in enumerate(FLAT_LOBES):
+    for j in range(len(FLAT_LOBES)):
         step = 1e-6
-        expected = (reading * present / (present + step * shine[lobe]) - reading) / step
+        expected = (reading * present / (present + step * shine[j]) - reading) / step
         got = columns[..., UNKNOWNS - len(FLAT_LOBES) + j]
         np.testing.assert_allclose(got, expected.T, rtol=1e-4, atol=1e-7)
 
@@ -157,7 +164,7 @@ def solved(images, lights, views, gloss, departure, start, limit=NO_LIMIT):
     scaled, surprise = start.copy(), np.empty(PIXELS)
     weights = np.full((LAMPS, PIXELS), 1e6, np.float32)
     solve_normals(
-        images.astype(np.float32), lights, weights, views, gloss, departure, MISFIT, limit, 12, 0, PIXELS,
+        images.astype(np.float32), lights, weights, views, gloss, ALPHAS, departure, MISFIT, limit, 12, 0, PIXELS,
         scaled, surprise,
     )  # fmt: skip
     return scaled, surprise
@@ -165,8 +172,8 @@ def solved(images, lights, views, gloss, departure, start, limit=NO_LIMIT):
 
 def test_normals_of_glossy_rough_paint_are_found_from_matt_beginnings(scene):
     lights, views, scaled, _ = scene
-    gloss = np.zeros(len(LOBES))
-    gloss[[5, 7]] = 0.6
+    gloss = np.zeros(len(KINDS))
+    gloss[[4, 5]] = 0.6
     images = read(lights, views, scaled, gloss)
     start = np.stack(
         [np.linalg.lstsq(lights[:, p], images[:, p], rcond=None)[0] for p in range(PIXELS)]
@@ -179,7 +186,7 @@ def test_normals_of_glossy_rough_paint_are_found_from_matt_beginnings(scene):
 
 def test_one_sample_that_is_wrong_hardly_moves_a_normal_where_the_loss_is_robust(scene):
     lights, views, scaled, _ = scene
-    none = np.zeros(len(LOBES))
+    none = np.zeros(len(KINDS))
     images = read(lights, views, scaled, none, 0.0)
     images[2] *= 1.5
     apart = [

@@ -11,7 +11,7 @@ from nlights_core.calibration.correction import (
     take_out_gloss,
     unreached,
 )
-from nlights_core.calibration.reflectance import LOBES, Reflectance, excess
+from nlights_core.calibration.reflectance import FLAT_LOBES, KINDS, Reflectance, excess, highlights
 from nlights_core.calibration.sampling import (
     corrected,
     flat_field_of,
@@ -63,8 +63,8 @@ def glossy_band(reflectance):
 
 
 def test_what_is_left_of_glossy_rough_paint_is_matt():
-    gloss = np.zeros(len(LOBES))
-    gloss[[4, 7, 10]] = 0.5, 0.6, 0.2
+    gloss = np.zeros(len(KINDS))
+    gloss[[3, 5, 10]] = 0.5, 0.6, 0.2
     reflectance = Reflectance(gloss, 0.4)
     band, normals, albedo, grey = glossy_band(reflectance)
     body = np.einsum("lhwk,hwk->lhw", band.lights, normals)
@@ -75,8 +75,8 @@ def test_what_is_left_of_glossy_rough_paint_is_matt():
 
 
 def test_a_pixel_without_a_normal_stays_as_it_was():
-    gloss = np.zeros(len(LOBES))
-    gloss[5] = 1
+    gloss = np.zeros(len(KINDS))
+    gloss[4] = 1
     band, *_ = glossy_band(Reflectance(gloss, 0.0))
     band.weights[2:, 3, 7] = 0
     plain = take_out_gloss(band, GRID, None, Reflectance(gloss, 0.0))
@@ -112,7 +112,7 @@ def test_frames_and_flats_lose_the_light_that_is_always_there(flat_field):
 
 def test_a_flat_loses_its_highlights(flat_field):
     shared = nothing(8)
-    shared.flat_gloss[5] = 0.7
+    shared.flat_gloss[1] = 0.7
     lit = flat_field_of(flat_field, LIGHTS, shared).logarithm - flat_field.logarithm
     assert (lit < 0).all()
     # At one of its places, by hand.
@@ -120,10 +120,8 @@ def test_a_flat_loses_its_highlights(flat_field):
     point = np.array([flat_field.left + 62 * column, flat_field.top - 62 * row, 0])
     ray, view = LIGHTS.positions[lamp] - point, np.array(GRID.camera) - point
     ray, view = ray / np.linalg.norm(ray), view / np.linalg.norm(view)
-    shine, _ = excess(
-        Reflectance(shared.flat_gloss, 0.0), np.array([[0.0, 0, 1]]), ray[None, None], view[None]
-    )
-    np.testing.assert_allclose(lit[lamp, row, column], -np.log1p(float(shine[0, 0]) / ray[2]), rtol=1e-4)
+    shine = 0.7 / 0.9 * float(highlights(np.array([0.0, 0, 1]), ray, view, FLAT_LOBES)[1])
+    np.testing.assert_allclose(lit[lamp, row, column], -np.log1p(shine / ray[2]), rtol=1e-4)
 
 
 @pytest.mark.parametrize("level", [0.0, 5.0, 20.0, -20.0])
@@ -140,6 +138,6 @@ def test_rays_that_miss_the_flat_are_counted_and_left_out(level):
     np.testing.assert_array_equal(within_flat(GRID, LIGHTS, points, 0.01), expected)
     assert unreached(GRID, height, LIGHTS) == pytest.approx(1 - expected.mean())
     assert (unreached(GRID, height, LIGHTS) > 0) == (level != 0)
-    band, *_ = glossy_band(Reflectance(np.zeros(len(LOBES)), 0.0))
+    band, *_ = glossy_band(Reflectance(np.zeros(len(KINDS)), 0.0))
     left = leave_out_unreached(band, GRID, height[20:32], LIGHTS)
     np.testing.assert_array_equal(left.weights > 0, expected[:, 20:32])

@@ -28,10 +28,6 @@ def test_a_varnished_drawing_is_measured_much_better_than_without_a_calibration(
     assert 0.6 < calibrated["normals_coverage"] < 0.85
 
 
-@pytest.mark.xfail(
-    reason="sharp highlights of Blinn and Phong on a small painting: lamps are believed to drift by 0.5 %, which "
-    "bends the height by 0.13 mm; residual and low against high lamps stay just under their limits"
-)
 def test_a_varnished_painting_whose_height_is_wrong_is_told(varnished):
     capture, _ = varnished
     maps = capture.products(load_recipe("default"))

@@ -2,15 +2,18 @@
 
 import numpy as np
 import pytest
+from scipy.special import erfc
 
 from nlights_core.calibration.reflectance import (
-    LOBES,
+    KINDS,
     NORMAL_REFLECTANCE,
+    ROUGHNESSES,
     Reflectance,
     cross_term,
     highlights,
 )
 
+LOBES = list(zip(KINDS, ROUGHNESSES, strict=True))
 UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -21,14 +24,24 @@ def directions(count=4000, seed=0):
     return ways / np.linalg.norm(ways, axis=1, keepdims=True)
 
 
-@pytest.mark.parametrize("place", range(len(LOBES)))
-def test_facets_of_a_lobe_cover_the_surface_once(place):
+@pytest.mark.parametrize(("kind", "roughness"), LOBES)
+def test_facets_of_a_lobe_cover_the_surface_once(kind, roughness):
     """Seen from straight above with the lamp beside the camera, a highlight is D F / (4 cos): D integrates to 1."""
     angle = np.linspace(1e-6, np.pi / 2 - 1e-3, 400_001)
     normals = np.stack([np.sin(angle), 0 * angle, np.cos(angle)], axis=-1)
-    got = highlights(normals, np.broadcast_to(UP, normals.shape), np.broadcast_to(UP, normals.shape))[place]
-    square, cosine = LOBES[place][1] ** 2, np.cos(angle)
-    masking = (2 * cosine / (cosine + np.sqrt(square + (1 - square) * cosine**2))) ** 2
+    got = highlights(
+        normals, np.broadcast_to(UP, normals.shape), np.broadcast_to(UP, normals.shape), [(kind, roughness)]
+    )[0]
+    square, cosine = roughness**2, np.cos(angle)
+    if kind == "ggx":
+        masking = (2 * cosine / (cosine + np.sqrt(square + (1 - square) * cosine**2))) ** 2
+    elif kind == "beckmann":
+        # Smith's masking itself, which the rational function comes close to.
+        steep = 1 / (roughness * np.tan(angle))
+        behind = erfc(steep) / 2
+        masking = 1 / (1 + np.exp(-(steep**2)) / (2 * np.sqrt(np.pi) * steep) - behind) ** 2
+    else:
+        masking = cosine**2
     facets = got * 4 * cosine / (NORMAL_REFLECTANCE * masking)
     # Radiance is in units in which matt white has 1, so D comes without its pi.
     whole = np.sum(facets * cosine * 2 * np.sin(angle)) * (angle[1] - angle[0])
@@ -37,15 +50,15 @@ def test_facets_of_a_lobe_cover_the_surface_once(place):
 
 def test_highlights_are_the_same_when_lamp_and_camera_change_places():
     ways, others = directions(), directions(seed=1)
-    there, back = highlights(UP, ways, others), highlights(UP, others, ways)
+    there, back = highlights(UP, ways, others, LOBES), highlights(UP, others, ways, LOBES)
     # Radiance under light across the ray: the cosine of incidence is in it.
     np.testing.assert_allclose(there / ways[:, 2], back / others[:, 2], rtol=1e-10, atol=1e-200)
 
 
 def test_nothing_shines_that_faces_away():
     up, behind = UP[None], np.array([[0.9, 0.0, -np.sqrt(1 - 0.81)]])
-    assert not highlights(up, behind, up).any()
-    assert not highlights(up, up, behind).any()
+    assert not highlights(up, behind, up, LOBES).any()
+    assert not highlights(up, up, behind, LOBES).any()
     assert not cross_term(up, behind, up).any()
 
 
@@ -59,7 +72,7 @@ def test_the_cross_term_is_that_of_oren_and_nayar():
 
 
 def test_a_surface_without_gloss_and_departure_is_matt():
-    none = np.zeros(len(LOBES))
+    none = np.zeros(len(KINDS))
     assert Reflectance(none, 0.0).matt
     assert not Reflectance(none, 0.1).matt
     assert not Reflectance(none + 0.1, 0.0).matt

@@ -76,8 +76,8 @@ def test_what_was_found_is_stated_in_units_that_people_know():
     assert values["Other material"] == pytest.approx(20)
 
 
-FLAT_GLOSS = np.zeros_like(nothing(3).gloss)
-FLAT_GLOSS[5] = 0.5
+FLAT_GLOSS = np.zeros_like(nothing(3).flat_gloss)
+FLAT_GLOSS[1] = 0.5
 
 
 @pytest.mark.parametrize(
