@@ -45,6 +45,9 @@ leaves a fifth of it."""
 WITHOUT_CHOICE = 2
 """Rounds in which all groups are fitted: before the others are nearly right, evidence of one is not."""
 
+STEPS, FEWER_STEPS = 3, 2
+"""Of Gauss and Newton in which normals are improved, at first and from a round before."""
+
 STRANGE = 8.0
 """Pixels whose residual is so many times the median pixel's are of another material, such as gold: they have no say,
 neither here nor in the coarse height."""
@@ -259,27 +262,26 @@ def _solve(
     count, *shape = band.grey.shape
     weights = lit(band.grey, band.weights, SHADOW)
     rays = np.broadcast_to(band.lights, (count, *shape, 3))
-    scaled = (
-        np.moveaxis(fit(band.grey, rays, weights, CONDITION).scaled, 0, -1).reshape(-1, 3).astype(np.float64)
-    )
+    # Begin where the last round ended: a highlight has more than one answer.
+    scaled = np.full((rays[0].size // 3, 3), np.nan) if before is None else before.reshape(-1, 3).copy()
+    unknown = np.flatnonzero(np.isnan(scaled[:, 0]))
+    if unknown.size:
+        grey, some, ray = (a.reshape(count, -1, *a.shape[3:])[:, unknown] for a in (band.grey, weights, rays))
+        scaled[unknown] = fit(grey, ray, some, CONDITION).scaled.T
     if not np.isfinite(scaled).any():
         raise TileError(
             "calibration: not a single block has three usable lights; see the mask, the saturation level and "
             "the frames themselves"
         )
-    if before is not None:
-        # Begin where the last round ended: a highlight has more than one answer.
-        known = np.isfinite(before.reshape(-1, 3)[:, 0])
-        scaled[known] = before.reshape(-1, 3)[known]
     views = view_directions(room.grid, room.grid.points(0, room.grid.rows, z)).reshape(-1, 3)
     weights = weights.reshape(count, -1) * np.float32(PHOTONS)
     samples = Samples(band.grey.reshape(count, -1), weights, rays.reshape(count, -1, 3), views)
     limit = TUNING * spread if spread else np.inf
-    surprise = improve_normals(samples, shared, scaled, limit, 3)
+    surprise = improve_normals(samples, shared, scaled, limit, STEPS if before is None else FEWER_STEPS)
     if not spread:
         # How large residuals are is not known before all samples have counted the same.
         limit = TUNING * max(1.0, float(np.nanmedian(surprise)))
-        surprise = improve_normals(samples, shared, scaled, limit, 3)
+        surprise = improve_normals(samples, shared, scaled, limit, STEPS)
     return scaled.reshape(*shape, 3), surprise.reshape(shape)
 
 

@@ -11,6 +11,7 @@ loops say the same in `nlights_core.calibration.compiled_reflectance`.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,13 +57,17 @@ class Reflectance:
         return not self.gloss.any() and self.departure == 0
 
 
-def highlights(normals: Array, lights: Array, views: Array) -> Array:
+def highlights(
+    normals: Array, lights: Array, views: Array, places: Sequence[int] = range(len(LOBES))
+) -> Array:
     """Radiance of the lobes under light of irradiance pi across the ray, for strength 1.
 
     Parameters
     ----------
     normals, lights, views : (..., 3) arrays
         Unit vectors: of the surface, to the lamp, to the camera.
+    places : sequence of int
+        Of the K lobes that are wanted, among `LOBES`.
 
     Returns
     -------
@@ -83,8 +88,9 @@ def highlights(normals: Array, lights: Array, views: Array) -> Array:
     faces = (lit > 0) & (seen > 0) & (upright > 0)
     lit, seen = np.where(faces, lit, 1.0), np.where(faces, seen, 1.0)
     upright = np.where(faces, upright, 1.0)
-    out = np.empty((len(LOBES), *np.shape(lit)))
-    for lobe, (kind, roughness) in zip(out, LOBES, strict=True):
+    out = np.empty((len(places), *np.shape(lit)))
+    for lobe, place in zip(out, places, strict=True):
+        kind, roughness = LOBES[place]
         square = roughness**2
         if kind == "ggx":
             facets = square / (upright**2 * (square - 1) + 1) ** 2
@@ -140,7 +146,8 @@ def excess(reflectance: Reflectance, normals: Array, lights: Array, views: Array
     """
     length = np.linalg.norm(lights, axis=-1)
     unit = lights / length[..., None]
-    shine = np.tensordot(reflectance.gloss, highlights(normals, unit, views), 1)
+    some = np.flatnonzero(reflectance.gloss)
+    shine = np.tensordot(reflectance.gloss[some], highlights(normals, unit, views, some.tolist()), 1)
     return length / WHITE * shine, length * reflectance.departure * cross_term(normals, unit, views)
 
 

@@ -65,11 +65,13 @@ def choose_pixels(room: Darkroom, raw: Raw, known: Array, wanted: int) -> Pixels
         All its rows.
     known : (h, w) bool array
     wanted : int
-        About how many.
+        How many at the least, where so many are known.
     """
-    step = max(1, int(np.sqrt(known.sum() / wanted)))
-    rows, columns = np.nonzero(known[step // 2 :: step, step // 2 :: step])
-    rows, columns = rows * step + step // 2, columns * step + step // 2
+    share = known.sum() / wanted
+    down = max(1, int(np.sqrt(share)))
+    across = max(1, int(share / down))
+    rows, columns = np.nonzero(known[down // 2 :: down, across // 2 :: across])
+    rows, columns = rows * down + down // 2, columns * across + across // 2
     some = Raw(
         0,
         1,
@@ -200,11 +202,12 @@ def _mirrored(flat_field: FlatField, lights: LightField, gloss: Array) -> Array:
     view = camera - np.moveaxis(points, 0, -1)
     view /= np.linalg.norm(view, axis=-1, keepdims=True)
     out = np.empty(flat_field.logarithm.shape[:3])
+    some = np.flatnonzero(gloss).tolist()
     for i in range(len(lights.lamps)):
         ray = np.broadcast_to(lights.only(i).vectors(points)[0], view.shape).astype(np.float64)
         ray /= np.linalg.norm(ray, axis=-1, keepdims=True)
-        lobes = highlights(np.array([0.0, 0.0, 1.0]), ray, view)
-        out[i] = np.tensordot(gloss, lobes, 1) / (WHITE * ray[..., 2])
+        lobes = highlights(np.array([0.0, 0.0, 1.0]), ray, view, some)
+        out[i] = np.tensordot(gloss[some], lobes, 1) / (WHITE * ray[..., 2])
     return out
 
 
