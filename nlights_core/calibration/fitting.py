@@ -39,8 +39,12 @@ PIXELS = 20_000
 """About how many pixels have a say."""
 
 ROUNDS = 5
-"""In which values and height are found; a level of millimetres bends the relief, which bends the level: each round
+"""At the most, in which values and height are found; a level of millimetres bends the relief, which bends the level: each round
 leaves a fifth of it."""
+
+STILL = 0.05
+"""Share of its uncertainty by which a round must move a value, or else it is the last: another would move it by a
+fifth of that."""
 
 WITHOUT_CHOICE = 2
 """Rounds in which all groups are fitted: before the others are nearly right, evidence of one is not."""
@@ -129,12 +133,18 @@ def calibrate(
     kinds = [group for group in groups(count) if group.name in chosen]
     always = (0,) if "level" in chosen else ()
     state = _State(nothing(count), np.zeros(room.grid.shape, np.float32))
+    found: evidence.Found | None = None
     for number in range(ROUNDS):
         _follow(state, room, raw, lights, flat_field)
         assert state.equations is not None
+        before = found
         found = _step(state.equations, state.shared, kinds, number < WITHOUT_CHOICE, always)
+        stands = before is not None and before.free == found.free and _stands(state, found)
         state.shared = state.shared.moved(found.values)
         progress((number + 1) / (ROUNDS + 1))
+        if stands:
+            break
+    assert found is not None
     assert state.equations is not None
     covariance = _covariance(state.equations, state.shared, found) + _doubt(state, found, kinds)
     believed = (*(name for name in chosen if name == "level"), *found.believed)
@@ -194,6 +204,16 @@ def _step(
     precisions, centres = prior(shared)
     right = equations.right + equations.matrix @ shared.vector()
     return evidence.choose(equations.matrix, right, precisions, centres, kinds, every, always)
+
+
+def _stands(state: _State, found: evidence.Found) -> bool:
+    """Test whether a round moves nothing by more than `STILL` of its uncertainty."""
+    assert state.equations is not None
+    places = np.array(found.free, np.intp)
+    moved = (found.values - state.shared.vector())[places]
+    precisions, _ = prior(state.shared)
+    inverse = np.linalg.inv(state.equations.matrix[np.ix_(places, places)] + np.diag(precisions[places]))
+    return bool(np.all(np.abs(moved) < STILL * np.sqrt(np.diag(inverse))))
 
 
 def _covariance(equations: Equations, shared: Shared, found: evidence.Found) -> Array:

@@ -65,13 +65,11 @@ def choose_pixels(room: Darkroom, raw: Raw, known: Array, wanted: int) -> Pixels
         All its rows.
     known : (h, w) bool array
     wanted : int
-        How many at the least, where so many are known.
+        About how many.
     """
-    share = known.sum() / wanted
-    down = max(1, int(np.sqrt(share)))
-    across = max(1, int(share / down))
-    rows, columns = np.nonzero(known[down // 2 :: down, across // 2 :: across])
-    rows, columns = rows * down + down // 2, columns * across + across // 2
+    step = max(1, int(np.sqrt(known.sum() / wanted)))
+    rows, columns = np.nonzero(known[step // 2 :: step, step // 2 :: step])
+    rows, columns = rows * step + step // 2, columns * step + step // 2
     some = Raw(
         0,
         1,
