@@ -1,4 +1,4 @@
-"""Compiled loops for surfaces that are not quite matt: their normals, and how samples depend on what all share.
+"""Compiled loops for surfaces that are not quite matt: their reflectance, and the normals that fit samples best.
 
 What `nlights_core.calibration.reflectance` says of arrays, for one sample at a time.  Import this only where it is
 used: Numba takes half a second.
@@ -11,20 +11,29 @@ from typing import Any
 
 import numpy as np
 
-from nlights_core.calibration.reflectance import FLAT_LOBES, KINDS, NORMAL_REFLECTANCE, WHITE
+from nlights_core.calibration.reflectance import KINDS, NORMAL_REFLECTANCE, WHITE
 from nlights_core.frames import Array
 from nlights_core.machine.compiling import inner, kernel
 
 COUNT = len(KINDS)
 GGX, BECKMANN, BLINN = range(3)
-FACETS = tuple(("ggx", "beckmann", "blinn").index(kind) for kind in KINDS)
-FLAT_COUNT = len(FLAT_LOBES)
-OF_FLAT = tuple(roughness for _, roughness in FLAT_LOBES)
+FACETS = np.array([("ggx", "beckmann", "blinn").index(kind) for kind in KINDS])
 LOBE_SCALE = 1 / WHITE
 F0 = NORMAL_REFLECTANCE
 
+CLOSE = 5e-5
+"""Step of a scaled normal, as a share of its length (0.003 degrees), after which no other is made."""
+
+FAINT = -30.0
+"""Exponent below which a highlight without tails is none: at its peak it is 10^13 times as bright."""
+
 RAY = 12
-"""Numbers of a sample's ray: light (3), its length, its unit vector (3), half vector (3), Fresnel's term, u.v."""
+"""Numbers of a sample's ray, which do not depend on the normal: 0-2 the light, 3 its length, 4-6 its unit vector,
+7-9 the half vector, 10 Fresnel's term, 11 the cosine between light and view."""
+
+FACE = 5
+"""Numbers of a pixel's face: 0-2 the unit normal, 3 the length of the scaled one, 4 the cosine between normal
+and view."""
 
 
 @inner
@@ -39,64 +48,84 @@ def prepare(x: float, y: float, z: float, vx: float, vy: float, vz: float, ray: 
     ray[0], ray[1], ray[2], ray[3] = x, y, z, length
     ray[4], ray[5], ray[6] = ux, uy, uz
     ray[7], ray[8], ray[9] = hx, hy, hz
-    ray[10] = F0 + (1 - F0) * rest**5
+    ray[10] = F0 + (1 - F0) * rest * rest * rest * rest * rest
     ray[11] = ux * vx + uy * vy + uz * vz
 
 
 @inner
-def masking_without_tails(cosine: float, alpha: float, slope: Any) -> float:
-    """Masking of the facets of Beckmann, as `reflectance.highlights` has it; its derivative into ``slope[0]``."""
-    slope[0] = 0.0
-    sine = 1 - cosine * cosine
-    if sine <= 1e-12:
+def unmasked(cosine: float, alpha: float, facet: int, slope: Any) -> float:
+    """Share of the facets that is not masked towards lamp or camera, over the cosine of that.
+
+    ``slope[0]`` receives its derivative by the cosine, as a share of it.
+    """
+    if facet == BLINN:
+        slope[0] = 0.0
         return 1.0
-    sine = math.sqrt(sine)
+    if facet == GGX:
+        square = alpha * alpha
+        root = math.sqrt(square + (1 - square) * cosine * cosine)
+        slope[0] = -(1 + (1 - square) * cosine / root) / (cosine + root)
+        return 2 / (cosine + root)
+    slope[0] = -1 / cosine
+    sine = math.sqrt(max(1 - cosine * cosine, 1e-12))
     a = cosine / (alpha * sine)
     if a >= 1.6:
-        return 1.0
+        return 1 / cosine
     above, below = a * (3.535 + 2.181 * a), 1 + a * (2.276 + 2.577 * a)
-    by_a = (3.535 + 4.362 * a - above / below * (2.276 + 5.154 * a)) / below
-    slope[0] = by_a / (alpha * sine * sine * sine)
-    return above / below
+    by_a = (3.535 + 4.362 * a) / above - (2.276 + 5.154 * a) / below
+    slope[0] += by_a / (alpha * sine * sine * sine)
+    return above / below / cosine
+
+
+@inner
+def turn(
+    b: Any, vx: float, vy: float, vz: float, lobes: Any, alphas: Any, facets: Any, face: Any, hidden: Any
+) -> None:
+    """Fill in what all samples of a pixel have in common: its face, and how much of each lobe the camera sees.
+
+    ``hidden[i]`` receives for lobe ``lobes[i]``: 0 the share that is not masked, over the cosine; 1 its derivative by
+    the cosine, as a share of it.
+    """
+    size = math.sqrt(b[0] * b[0] + b[1] * b[1] + b[2] * b[2])
+    face[0], face[1], face[2], face[3] = b[0] / size, b[1] / size, b[2] / size, size
+    seen = face[0] * vx + face[1] * vy + face[2] * vz
+    face[4] = seen
+    if seen <= 0:
+        return
+    for i in range(len(lobes)):
+        hidden[i, 0] = unmasked(seen, alphas[lobes[i]], facets[lobes[i]], hidden[i, 1:])
 
 
 @inner
 def lobe(
-    alpha: float, facet: int, upright: float, lit: float, seen: float, fresnel: float, slope: Any
+    alpha: float, facet: int, upright: float, lit: float, fresnel: float, hidden: float, slope: Any
 ) -> float:
     """Radiance of one highlight, as `reflectance.highlights` has it, where the surface faces lamp and camera.
 
-    ``slope`` receives its derivatives by the cosines between the normal and half vector, light and view.
+    ``slope`` receives its derivatives by the cosines between the normal and 0 half vector, 1 light.
     """
-    square = alpha * alpha
-    if facet == BLINN:
+    square, flat = alpha * alpha, upright * upright
+    if facet == GGX:
+        narrow = 1 / (flat * (square - 1) + 1)
+        facets = square * narrow * narrow
+        steeper = -4 * upright * (square - 1) * narrow
+    else:
         power = 2 / square - 2
-        value = math.exp(power * math.log(upright)) / square * fresnel * lit / 4
-        slope[0], slope[1], slope[2] = value * power / upright, value / lit, 0.0
-        return value
-    if facet == BECKMANN:
-        flat = upright * upright
-        facets = math.exp((1 - 1 / flat) / square) / (square * flat * flat)
-        masked = masking_without_tails(lit, alpha, slope)
-        by_lit = slope[0] / masked
-        hidden = masking_without_tails(seen, alpha, slope)
-        by_seen = slope[0] / hidden - 1 / seen
-        value = facets * fresnel * masked * hidden / (4 * seen)
-        slope[0] = value * (2 / (square * flat * upright) - 4 / upright)
-        slope[1], slope[2] = value * by_lit, value * by_seen
-        return value
-    spread = upright * upright * (square - 1) + 1
-    facets = square / (spread * spread)
-    steeper = -4 * upright * (square - 1) / spread
-    root = math.sqrt(square + (1 - square) * lit * lit)
-    masked = 2 * lit / (lit + root)
-    far = math.sqrt(square + (1 - square) * seen * seen)
-    hidden = 2 / (seen + far)
-    value = facets * fresnel * masked * hidden / 4
-    slope[0] = value * steeper
-    slope[1] = value * square / (root * lit * (lit + root))
-    slope[2] = -value * (1 + (1 - square) * seen / far) / (seen + far)
-    return value
+        exponent = power * math.log(upright) if facet == BLINN else (1 - 1 / flat) / square
+        if exponent < FAINT:
+            slope[0], slope[1] = 0.0, 0.0
+            return 0.0
+        if facet == BLINN:
+            facets = math.exp(exponent) / square
+            steeper = power / upright
+        else:
+            facets = math.exp(exponent) / (square * flat * flat)
+            steeper = (2 / (square * flat) - 4) / upright
+    even = facets * fresnel * unmasked(lit, alpha, facet, slope) * hidden / 4
+    by_light = slope[0]
+    slope[0] = even * lit * steeper
+    slope[1] = even * (1 + lit * by_light)
+    return even * lit
 
 
 @inner
@@ -106,22 +135,26 @@ def shade(
     vx: float,
     vy: float,
     vz: float,
+    lobes: Any,
     gloss: Any,
     alphas: Any,
     departure: float,
+    face: Any,
+    hidden: Any,
     own: Any,
     out: Any,
 ) -> float:
-    """Reading of one sample of a scaled normal, and its derivatives by that, into ``out[:3]``; ``own`` is scratch."""
-    bx, by, bz = b[0], b[1], b[2]
-    value: float = bx * ray[0] + by * ray[1] + bz * ray[2]
+    """Reading of one sample of a scaled normal, and its derivatives by that, into ``out[:3]``.
+
+    ``lobes`` are those of which there is some, ``face`` and ``hidden`` what `turn` filled in for them; ``own`` is
+    scratch.
+    """
+    value: float = b[0] * ray[0] + b[1] * ray[1] + b[2] * ray[2]
     out[0], out[1], out[2] = ray[0], ray[1], ray[2]
-    size = math.sqrt(bx * bx + by * by + bz * bz)
-    if size == 0:
+    if len(lobes) == 0 and departure == 0:
         return value
-    nx, ny, nz = bx / size, by / size, bz / size
+    nx, ny, nz, size, seen = face[0], face[1], face[2], face[3], face[4]
     lit = nx * ray[4] + ny * ray[5] + nz * ray[6]
-    seen = nx * vx + ny * vy + nz * vz
     if lit <= 0 or seen <= 0:
         return value
     # Of what is beyond matt paint: derivatives by the cosines to half vector, light and view.
@@ -129,13 +162,14 @@ def shade(
     upright = nx * ray[7] + ny * ray[8] + nz * ray[9]
     if upright > 0:
         scale = ray[3] * LOBE_SCALE
-        for j in range(COUNT):
-            if gloss[j] != 0:
-                strength = scale * gloss[j]
-                value += strength * lobe(alphas[j], FACETS[j], upright, lit, seen, ray[10], own)
-                to_half += strength * own[0]
-                to_light += strength * own[1]
-                to_view += strength * own[2]
+        for i in range(len(lobes)):
+            j = lobes[i]
+            strength = scale * gloss[j]
+            shine = strength * lobe(alphas[j], FACETS[j], upright, lit, ray[10], hidden[i, 0], own)
+            value += shine
+            to_half += strength * own[0]
+            to_light += strength * own[1]
+            to_view += shine * hidden[i, 1]
     to_half, to_light, to_view = to_half / size, to_light / size, to_view / size
     across = ray[11] - lit * seen
     if departure != 0 and across > 0:
@@ -162,8 +196,11 @@ def shade(
 
 
 @inner
-def _solve(m: Any, right: Any, out: Any) -> bool:
-    """Solve a symmetric 3 x 3 system, upper triangle given; also the inverse into ``out[3:9]``."""
+def solve(m: Any, right: Any, out: Any) -> bool:
+    """Solve a symmetric 3 x 3 system, of which ``m`` is the upper triangle, row by row.
+
+    ``out`` receives 0-2 the solution, 3-8 the upper triangle of the inverse.  False: it cannot be solved.
+    """
     a, b, c, d, e, f = m[0], m[1], m[2], m[3], m[4], m[5]
     ixx, ixy, ixz = d * f - e * e, c * e - b * f, b * e - c * d
     iyy, iyz, izz = a * f - c * c, b * c - a * e, a * d - b * b
@@ -182,10 +219,22 @@ def _solve(m: Any, right: Any, out: Any) -> bool:
 
 
 @inner
-def _precision(predicted: float, weight: float, misfit: float, floor: float) -> float:
+def precision(predicted: float, weight: float, misfit: float, floor: float) -> float:
     """One over the variance of a sample, by the photons of what is predicted and a share of it."""
     level = max(predicted, floor)
     return 1 / (level / weight + (misfit * predicted) ** 2)
+
+
+@inner
+def add_square(weight: float, slope: Any, matrix: Any) -> None:
+    """Add a sample to the normal equations' matrix of a pixel, ``matrix`` being its upper triangle, row by row."""
+    x, y, z = slope[0], slope[1], slope[2]
+    matrix[0] += weight * x * x
+    matrix[1] += weight * x * y
+    matrix[2] += weight * x * z
+    matrix[3] += weight * y * y
+    matrix[4] += weight * y * z
+    matrix[5] += weight * z * z
 
 
 @kernel
@@ -223,17 +272,21 @@ def solve_normals(
     limit : float
         Of Cauchy's loss, in standard deviations.
     rounds : int
+        At the most; a pixel whose step is `CLOSE` to nothing is done.
     first, last : int
         Pixels.
     scaled : (N, 3) float64 array
         Where to begin; receives what was found.  NaN stays.
     surprise : (N,) float64 array
-        Receives the root mean square residual over the lamps, in standard deviations.
+        Receives the root mean square residual over the lamps, in standard deviations, before the last step if that
+        was `CLOSE`.
     """
     count = len(images)
     ray = np.empty((count, RAY))
     slope, own, b, trial = np.empty(3), np.empty(3), np.empty(3), np.empty(9)
     matrix, right = np.empty(6), np.empty(3)
+    lobes = np.flatnonzero(gloss)
+    face, hidden = np.empty(FACE), np.empty((len(lobes), 2))
     for p in range(first, last):
         b[0], b[1], b[2] = scaled[p, 0], scaled[p, 1], scaled[p, 2]
         if not b[2] > 0:
@@ -245,36 +298,33 @@ def solve_normals(
                 np.float64(lights[k, p, 0]), np.float64(lights[k, p, 1]), np.float64(lights[k, p, 2]),
                 vx, vy, vz, ray[k],
             )  # fmt: skip
-        for turn in range(rounds + 1):
+        for number in range(rounds + 1):
             matrix[:] = 0
             right[:] = 0
             squares, used = 0.0, 0
-            floor = 0.02 * math.sqrt(b[0] * b[0] + b[1] * b[1] + b[2] * b[2])
+            turn(b, vx, vy, vz, lobes, alphas, FACETS, face, hidden)
+            floor = 0.02 * face[3]
             for k in range(count):
                 weight = np.float64(weights[k, p])
                 if not weight > 0:
                     continue
                 used += 1
-                value = shade(b, ray[k], vx, vy, vz, gloss, alphas, departure, own, slope)
+                value = shade(
+                    b, ray[k], vx, vy, vz, lobes, gloss, alphas, departure, face, hidden, own, slope
+                )
                 rest = images[k, p] - value
-                w = _precision(value, weight, misfit, floor)
+                w = precision(value, weight, misfit, floor)
                 size = rest * rest * w
                 squares += size
-                if turn == rounds:
+                if number == rounds:
                     continue
                 w /= 1 + size / (limit * limit)
-                x, y, z = slope[0], slope[1], slope[2]
-                matrix[0] += w * x * x
-                matrix[1] += w * x * y
-                matrix[2] += w * x * z
-                matrix[3] += w * y * y
-                matrix[4] += w * y * z
-                matrix[5] += w * z * z
-                right[0] += w * x * rest
-                right[1] += w * y * rest
-                right[2] += w * z * rest
+                add_square(w, slope, matrix)
+                right[0] += w * slope[0] * rest
+                right[1] += w * slope[1] * rest
+                right[2] += w * slope[2] * rest
             surprise[p] = math.sqrt(squares / max(used, 1))
-            if turn == rounds or used < 3 or not _solve(matrix, right, trial):
+            if number == rounds or used < 3 or not solve(matrix, right, trial):
                 break
             # A step that turns the normal away is not taken.
             if b[2] + trial[2] > 0.1 * math.hypot(b[0] + trial[0], b[1] + trial[1]):
@@ -283,251 +333,7 @@ def solve_normals(
                 b[2] += trial[2]
             else:
                 break
+            step = trial[0] * trial[0] + trial[1] * trial[1] + trial[2] * trial[2]
+            if step < (CLOSE * face[3]) ** 2:
+                break
         scaled[p, 0], scaled[p, 1], scaled[p, 2] = b[0], b[1], b[2]
-
-
-@kernel
-def linearise_samples(
-    images: Array,
-    lights: Array,
-    weights: Array,
-    views: Array,
-    raised_lights: Array,
-    raised_views: Array,
-    dimmer: Array,
-    per_flat: Array,
-    scaled: Array,
-    gloss: Array,
-    alphas: Array,
-    departure: float,
-    flat_gloss: Array,
-    misfit: float,
-    step: float,
-    first: int,
-    last: int,
-    columns: Array,
-    slopes: Array,
-    residuals: Array,
-    precisions: Array,
-) -> None:
-    """Derivatives of the samples by what all pixels share, and by the pixel's own scaled normal.
-
-    Parameters
-    ----------
-    images, lights, weights, views, gloss, alphas, departure, misfit, first, last
-        As for `solve_normals`.
-    raised_lights, raised_views : arrays of their shapes
-        At a height larger by ``step``, mm.
-    dimmer : (L, N) float32 array
-        By which factor a reading changes there, because its flat field is read elsewhere.
-    per_flat : (L, N) float32 array
-        What light of 1 that is always there adds to a reading.
-    scaled : (N, 3) float64 array
-        Scaled normals, NaN where not known.
-    flat_gloss : (F,) float64 array
-        Strengths of the lobes of the flat.
-    columns : (N, L, 1 + L + K + 3 + F) float64 array
-        Receives, for what is predicted less what is observed: per mm of level; per unit of the logarithm of each
-        lamp's strength; per lobe; per departure; per additive light; per light of the room; per lobe of the flat.
-    slopes : (N, L, 3) float64 array
-        Receives the derivatives by the scaled normal.
-    residuals, precisions : (N, L) float64 arrays
-        Receive what was observed less what is predicted, and one over its variance; 0 where not used.
-    """
-    count = len(images)
-    ray, raised = np.empty(RAY), np.empty(RAY)
-    b, own, slope = np.empty(3), np.empty(3), np.empty(3)
-    at_lobes = 1 + count
-    at_departure = at_lobes + COUNT
-    for p in range(first, last):
-        b[0], b[1], b[2] = scaled[p, 0], scaled[p, 1], scaled[p, 2]
-        columns[p] = 0
-        slopes[p] = 0
-        residuals[p] = 0
-        precisions[p] = 0
-        if not b[2] > 0:
-            continue
-        size = math.sqrt(b[0] * b[0] + b[1] * b[1] + b[2] * b[2])
-        nx, ny, nz = b[0] / size, b[1] / size, b[2] / size
-        floor = 0.02 * size
-        vx, vy, vz = np.float64(views[p, 0]), np.float64(views[p, 1]), np.float64(views[p, 2])
-        wx, wy, wz = (
-            np.float64(raised_views[p, 0]), np.float64(raised_views[p, 1]), np.float64(raised_views[p, 2]),
-        )  # fmt: skip
-        for k in range(count):
-            weight = np.float64(weights[k, p])
-            if not weight > 0:
-                continue
-            prepare(
-                np.float64(lights[k, p, 0]), np.float64(lights[k, p, 1]), np.float64(lights[k, p, 2]),
-                vx, vy, vz, ray,
-            )  # fmt: skip
-            prepare(
-                np.float64(raised_lights[k, p, 0]), np.float64(raised_lights[k, p, 1]),
-                np.float64(raised_lights[k, p, 2]), wx, wy, wz, raised,
-            )  # fmt: skip
-            value = shade(b, ray, vx, vy, vz, gloss, alphas, departure, own, slopes[p, k])
-            above = shade(b, raised, wx, wy, wz, gloss, alphas, departure, own, slope)
-            residuals[p, k] = images[k, p] - value
-            precisions[p, k] = _precision(value, weight, misfit, floor)
-            of = columns[p, k]
-            # What is observed would bring its noise into residual and derivative alike, and their product has a
-            # mean: so the change of the predicted reading is taken.
-            of[0] = (above - value * dimmer[k, p]) / step
-            of[1 + k] = value
-            lit = nx * ray[4] + ny * ray[5] + nz * ray[6]
-            seen = nx * vx + ny * vy + nz * vz
-            upright = nx * ray[7] + ny * ray[8] + nz * ray[9]
-            if lit > 0 and seen > 0:
-                if upright > 0:
-                    for j in range(COUNT):
-                        shine = lobe(alphas[j], FACETS[j], upright, lit, seen, ray[10], own)
-                        of[at_lobes + j] = shine * ray[3] * LOBE_SCALE
-                across = ray[11] - lit * seen
-                if across > 0:
-                    of[at_departure] = size * ray[3] * across / max(lit, seen) * lit
-            of[at_departure + 1] = per_flat[k, p] * (1 - value)
-            of[at_departure + 2] = per_flat[k, p] * (size - value)
-            glossy = 1.0
-            for j in range(FLAT_COUNT):
-                mirrored = lobe(OF_FLAT[j], GGX, ray[9], ray[6], vz, ray[10], own) / (WHITE * ray[6])
-                of[at_departure + 3 + j] = -value * mirrored
-                glossy += flat_gloss[j] * mirrored
-            for j in range(FLAT_COUNT):
-                of[at_departure + 3 + j] /= glossy
-
-
-@kernel
-def eliminate_normals(
-    columns: Array,
-    slopes: Array,
-    precisions: Array,
-    scaled: Array,
-    first: int,
-    last: int,
-    inverses: Array,
-    tilts: Array,
-) -> None:
-    """Find what a unit of each shared unknown does to the slopes of the surface.
-
-    Parameters
-    ----------
-    columns, slopes, precisions : arrays
-        Of `linearise_samples`; precisions become 0 in pixels that are not known.
-    scaled : (N, 3) float64 array
-        Scaled normals.
-    first, last : int
-        Pixels.
-    inverses : (N, 6) float64 array
-        Receives the upper triangle of the scaled normals' covariance.
-    tilts : (2, M, N) float64 array
-        Receives the changes of dz/dx and of dz/dy.
-    """
-    count, unknowns = columns.shape[1], columns.shape[2]
-    matrix, none, out = np.empty(6), np.zeros(3), np.empty(9)
-    turned = np.empty((3, unknowns))
-    for p in range(first, last):
-        matrix[:] = 0
-        for k in range(count):
-            w = precisions[p, k]
-            x, y, z = slopes[p, k, 0], slopes[p, k, 1], slopes[p, k, 2]
-            matrix[0] += w * x * x
-            matrix[1] += w * x * y
-            matrix[2] += w * x * z
-            matrix[3] += w * y * y
-            matrix[4] += w * y * z
-            matrix[5] += w * z * z
-        if not _solve(matrix, none, out):
-            precisions[p] = 0
-            inverses[p] = 0
-            tilts[:, :, p] = 0
-            continue
-        for k in range(6):
-            inverses[p, k] = out[3 + k]
-        turned[:] = 0
-        for k in range(count):
-            w = precisions[p, k]
-            x, y, z = w * slopes[p, k, 0], w * slopes[p, k, 1], w * slopes[p, k, 2]
-            for m in range(unknowns):
-                turned[0, m] += x * columns[p, k, m]
-                turned[1, m] += y * columns[p, k, m]
-                turned[2, m] += z * columns[p, k, m]
-        bx, by, bz = scaled[p, 0], scaled[p, 1], scaled[p, 2]
-        for m in range(unknowns):
-            # A change of the unknown turns the normal the other way.
-            x = -(out[3] * turned[0, m] + out[4] * turned[1, m] + out[5] * turned[2, m])
-            y = -(out[4] * turned[0, m] + out[6] * turned[1, m] + out[7] * turned[2, m])
-            z = -(out[5] * turned[0, m] + out[7] * turned[1, m] + out[8] * turned[2, m])
-            tilts[0, m, p] = -(x - bx / bz * z) / bz
-            tilts[1, m, p] = -(y - by / bz * z) / bz
-
-
-@kernel
-def add_equations(
-    columns: Array,
-    slopes: Array,
-    precisions: Array,
-    residuals: Array,
-    inverses: Array,
-    bends: Array,
-    first: int,
-    last: int,
-    matrix: Array,
-    scores: Array,
-) -> None:
-    """Add the pixels' share of the normal equations, the normals eliminated.
-
-    Parameters
-    ----------
-    columns, slopes, precisions, residuals : arrays
-        Of `linearise_samples`.
-    inverses : (N, 6) float64 array
-        Of `eliminate_normals`.
-    bends : (N, M) float64 array
-        What a unit of each unknown does to the height here, mm.
-    first, last : int
-        Pixels.
-    matrix : (M, M) float64 array
-        Its upper triangle is added to.
-    scores : (N, M) float64 array
-        Receives each pixel's share of the right-hand side.
-    """
-    count, unknowns = columns.shape[1], columns.shape[2]
-    seen = np.empty((count, unknowns))
-    turned, x = np.empty((3, unknowns)), np.empty(3)
-    for p in range(first, last):
-        scores[p] = 0
-        if inverses[p, 0] == 0:
-            continue
-        turned[:] = 0
-        for k in range(count):
-            w = precisions[p, k]
-            raised = columns[p, k, 0]
-            x[0], x[1], x[2] = w * slopes[p, k, 0], w * slopes[p, k, 1], w * slopes[p, k, 2]
-            for m in range(unknowns):
-                value = columns[p, k, m] + raised * bends[p, m]
-                seen[k, m] = value
-                turned[0, m] += x[0] * value
-                turned[1, m] += x[1] * value
-                turned[2, m] += x[2] * value
-        a, b, c = inverses[p, 0], inverses[p, 1], inverses[p, 2]
-        d, e, f = inverses[p, 3], inverses[p, 4], inverses[p, 5]
-        for m in range(unknowns):
-            t, u, v = turned[0, m], turned[1, m], turned[2, m]
-            turned[0, m] = a * t + b * u + c * v
-            turned[1, m] = b * t + d * u + e * v
-            turned[2, m] = c * t + e * u + f * v
-        for k in range(count):
-            w = precisions[p, k]
-            if w == 0:
-                continue
-            sx, sy, sz = slopes[p, k, 0], slopes[p, k, 1], slopes[p, k, 2]
-            for m in range(unknowns):
-                seen[k, m] -= sx * turned[0, m] + sy * turned[1, m] + sz * turned[2, m]
-            rest = w * residuals[p, k]
-            for m in range(unknowns):
-                value = seen[k, m]
-                scores[p, m] += rest * value
-                weighted = w * value
-                for n in range(m, unknowns):
-                    matrix[m, n] += weighted * seen[k, n]

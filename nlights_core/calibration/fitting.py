@@ -39,11 +39,18 @@ PIXELS = 20_000
 """About how many pixels have a say."""
 
 ROUNDS = 5
-"""In which values and height are found; a level of millimetres bends the relief, which bends the level: each round
-leaves a fifth of it."""
+"""At the most, in which values and height are found; a level of millimetres bends the relief, which bends the level:
+each round leaves a fifth of it."""
+
+STILL = 0.05
+"""Share of its uncertainty by which a round must move a value, or else it is the last: another would move it by a
+fifth of that."""
 
 WITHOUT_CHOICE = 2
 """Rounds in which all groups are fitted: before the others are nearly right, evidence of one is not."""
+
+STEPS, FEWER_STEPS = 3, 2
+"""Of Gauss and Newton in which normals are improved, at first and from a round before."""
 
 NARROWED = {1: 0.45, 2: 0.25}
 """After which rounds lobes are moved close to the gloss that was found, and how far they then reach at least."""
@@ -129,16 +136,23 @@ def calibrate(
     kinds = [group for group in groups(count) if group.name in chosen]
     always = (0,) if "level" in chosen else ()
     state = _State(nothing(count), np.zeros(room.grid.shape, np.float32))
+    found: evidence.Found | None = None
     for number in range(ROUNDS):
         _follow(state, room, raw, lights, flat_field)
         assert state.equations is not None
-        found = _choose(state.equations, state.shared, kinds, number < WITHOUT_CHOICE, always)
-        before, state.shared = state.shared, state.shared.moved(found.values)
-        if number in NARROWED and any(group.name == "gloss" for group in kinds):
+        before, last = state.shared, found
+        found = _choose(state.equations, before, kinds, number < WITHOUT_CHOICE, always)
+        stands = last is not None and last.free == found.free and _stands(state, found)
+        state.shared = before.moved(found.values)
+        if number in NARROWED and "gloss" in found.believed:
             state.shared = _narrow(state, before, found, kinds, NARROWED[number])
+            stands = False
         progress((number + 1) / (ROUNDS + 1))
+        if stands:
+            break
+    assert found is not None
     assert state.equations is not None
-    covariance = _covariance(state.equations, state.shared, found) + _doubt(state, found, kinds)
+    covariance = _covariance(state.equations, state.shared, found) + _doubt(state, before, found, kinds)
     believed = (*(name for name in chosen if name == "level"), *found.believed)
     if smooth_residual(state.equations) > LOST:
         # What is believed of photographs that the model does not fit would be wrong: nothing is taken out of them.
@@ -236,6 +250,16 @@ def _narrow(state: _State, before: Shared, found: evidence.Found, kinds: list[Gr
     return narrowed(state.shared, apart, width)
 
 
+def _stands(state: _State, found: evidence.Found) -> bool:
+    """Test whether a round moves nothing by more than `STILL` of its uncertainty."""
+    assert state.equations is not None
+    places = np.array(found.free, np.intp)
+    moved = (found.values - state.shared.vector())[places]
+    precisions, _ = prior(state.shared)
+    inverse = np.linalg.inv(state.equations.matrix[np.ix_(places, places)] + np.diag(precisions[places]))
+    return bool(np.all(np.abs(moved) < STILL * np.sqrt(np.diag(inverse))))
+
+
 def _covariance(equations: Equations, shared: Shared, found: evidence.Found) -> Array:
     """Covariance of the unknowns that were fitted, (M, M): the larger of two ways to find it.
 
@@ -252,7 +276,7 @@ def _covariance(equations: Equations, shared: Shared, found: evidence.Found) -> 
     return out
 
 
-def _doubt(state: _State, found: evidence.Found, kinds: list[Group]) -> Array:
+def _doubt(state: _State, before: Shared, found: evidence.Found, kinds: list[Group]) -> Array:
     """Covariance that is added where a surface has highlights without tails, (M, M).
 
     Varnish has tails.  Where lobes without them fit better, the surface is of a kind that formulas describe less
@@ -269,7 +293,7 @@ def _doubt(state: _State, found: evidence.Found, kinds: list[Group]) -> Array:
     kept["gloss"] = Group("gloss", tails, True)
     other = _step(
         state.equations,
-        state.shared,
+        before,
         list(kept.values()),
         True,
         found.free[:1] if found.free[:1] == (0,) else (),
@@ -302,27 +326,26 @@ def _solve(
     count, *shape = band.grey.shape
     weights = lit(band.grey, band.weights, SHADOW)
     rays = np.broadcast_to(band.lights, (count, *shape, 3))
-    scaled = (
-        np.moveaxis(fit(band.grey, rays, weights, CONDITION).scaled, 0, -1).reshape(-1, 3).astype(np.float64)
-    )
+    # Begin where the last round ended: a highlight has more than one answer.
+    scaled = np.full((rays[0].size // 3, 3), np.nan) if before is None else before.reshape(-1, 3).copy()
+    unknown = np.flatnonzero(np.isnan(scaled[:, 0]))
+    if unknown.size:
+        grey, some, ray = (a.reshape(count, -1, *a.shape[3:])[:, unknown] for a in (band.grey, weights, rays))
+        scaled[unknown] = fit(grey, ray, some, CONDITION).scaled.T
     if not np.isfinite(scaled).any():
         raise TileError(
             "calibration: not a single block has three usable lights; see the mask, the saturation level and "
             "the frames themselves"
         )
-    if before is not None:
-        # Begin where the last round ended: a highlight has more than one answer.
-        known = np.isfinite(before.reshape(-1, 3)[:, 0])
-        scaled[known] = before.reshape(-1, 3)[known]
     views = view_directions(room.grid, room.grid.points(0, room.grid.rows, z)).reshape(-1, 3)
     weights = weights.reshape(count, -1) * np.float32(PHOTONS)
     samples = Samples(band.grey.reshape(count, -1), weights, rays.reshape(count, -1, 3), views)
     limit = TUNING * spread if spread else np.inf
-    surprise = improve_normals(samples, shared, scaled, limit, 3)
+    surprise = improve_normals(samples, shared, scaled, limit, STEPS if before is None else FEWER_STEPS)
     if not spread:
         # How large residuals are is not known before all samples have counted the same.
         limit = TUNING * max(1.0, float(np.nanmedian(surprise)))
-        surprise = improve_normals(samples, shared, scaled, limit, 3)
+        surprise = improve_normals(samples, shared, scaled, limit, STEPS)
     return scaled.reshape(*shape, 3), surprise.reshape(shape)
 
 

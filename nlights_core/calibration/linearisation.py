@@ -114,7 +114,7 @@ def linearise(
     shared : Shared
         Present values.
     """
-    from nlights_core.calibration.compiled_reflectance import linearise_samples
+    from nlights_core.calibration.compiled_elimination import linearise_samples
 
     here = develop_pixels(room, pixels, lights, flat_field, z)
     above = develop_pixels(room, pixels, lights, flat_field, z + np.float32(STEP))
@@ -149,7 +149,7 @@ def _eliminate(
     scaled: Array,
 ) -> Equations:
     """Eliminate the normals, and add to each column the bend of the height that it makes."""
-    from nlights_core.calibration.compiled_reflectance import add_equations, eliminate_normals
+    from nlights_core.calibration.compiled_elimination import add_equations, eliminate_normals
 
     size, count, unknowns = columns.shape
     usable: Array = np.asarray((precisions > 0).sum(axis=1) > 3)
@@ -241,16 +241,27 @@ def _noise(grid: PixelGrid, pixels: Pixels, variances: Array, usable: Array) -> 
 
 def _bends(grid: PixelGrid, pixels: Pixels, tilts: Array, usable: Array) -> tuple[Array, Array]:
     """Bends of the integrated height by a unit of each unknown: on blocks (M, h, w), and at the pixels (N, M)."""
-    from scipy.ndimage import map_coordinates
-
     coarse = coarse_grid(grid)
     bends = np.empty((tilts.shape[1], *coarse.shape))
     for m in range(len(bends)):
         across, up = (fill(_on_blocks(grid, pixels, part[m], usable)) for part in tilts)
         bends[m] = simchony(across * coarse.pixel_size, -up * coarse.pixel_size)
-    places = np.stack([(pixels.rows + 0.5) / CELL - 0.5, (pixels.columns + 0.5) / CELL - 0.5])
-    at_pixels = np.stack([map_coordinates(bend, places, order=1, mode="nearest") for bend in bends], axis=1)
-    return bends, np.ascontiguousarray(at_pixels)
+    return bends, _between_blocks(bends, pixels)
+
+
+def _between_blocks(bends: Array, pixels: Pixels) -> Array:
+    """Values at the pixels, (N, M), linearly between the blocks' middles; beyond the outermost, theirs."""
+    down, across = bends.shape[1:]
+    row, column = (
+        np.clip((place + 0.5) / CELL - 0.5, 0, length - 1)
+        for place, length in ((pixels.rows, down), (pixels.columns, across))
+    )
+    above, left = row.astype(np.intp), column.astype(np.intp)
+    below, right = np.minimum(above + 1, down - 1), np.minimum(left + 1, across - 1)
+    s, t = (row - above)[:, None], (column - left)[:, None]
+    of = np.ascontiguousarray(np.moveaxis(bends, 0, -1))
+    upper = of[above, left] * (1 - t) + of[above, right] * t
+    return np.asarray(upper * (1 - s) + (of[below, left] * (1 - t) + of[below, right] * t) * s)
 
 
 SMOOTH = 1.0

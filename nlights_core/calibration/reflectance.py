@@ -167,7 +167,9 @@ def excess(reflectance: Reflectance, normals: Array, lights: Array, views: Array
     """
     length = np.linalg.norm(lights, axis=-1)
     unit = lights / length[..., None]
-    shine = np.tensordot(reflectance.gloss, highlights(normals, unit, views, reflectance.lobes), 1)
+    some = [(lobe, share) for lobe, share in zip(reflectance.lobes, reflectance.gloss, strict=True) if share]
+    lobes, shares = [lobe for lobe, _ in some], np.array([share for _, share in some])
+    shine = np.tensordot(shares, highlights(normals, unit, views, lobes), 1)
     return length / WHITE * shine, length * reflectance.departure * cross_term(normals, unit, views)
 
 

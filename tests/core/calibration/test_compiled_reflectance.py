@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from nlights_core.calibration.compiled_reflectance import (
+from nlights_core.calibration.compiled_elimination import (
     add_equations,
     eliminate_normals,
     linearise_samples,
-    solve_normals,
 )
+from nlights_core.calibration.compiled_reflectance import solve_normals
 from nlights_core.calibration.reflectance import (
     FLAT_LOBES,
     KINDS,
@@ -181,7 +181,8 @@ def test_normals_of_glossy_rough_paint_are_found_from_matt_beginnings(scene):
     assert np.abs(start - scaled).max() > 0.02
     found, surprise = solved(images, lights, views, gloss, DEPARTURE, start)
     np.testing.assert_allclose(found, scaled, atol=1e-5)
-    assert surprise.max() < 0.01
+    # That of the last evaluation, before a step of 5e-5 at the most.
+    assert surprise.max() < 0.05
 
 
 def test_one_sample_that_is_wrong_hardly_moves_a_normal_where_the_loss_is_robust(scene):
