@@ -9,6 +9,7 @@ import numpy as np
 
 from nlights_core.algorithms import PHOTONS
 from nlights_core.calibration import evidence
+from nlights_core.calibration.lamp_positions import bends_by_positions
 from nlights_core.calibration.linearisation import (
     TUNING,
     Equations,
@@ -18,6 +19,7 @@ from nlights_core.calibration.linearisation import (
 )
 from nlights_core.calibration.reflectance import KINDS
 from nlights_core.calibration.sampling import (
+    Pixels,
     Samples,
     choose_pixels,
     corrected,
@@ -37,6 +39,9 @@ from nlights_core.solving.least_squares import fit, lit
 
 PIXELS = 20_000
 """About how many pixels have a say."""
+
+FEWER_PIXELS = 5_000
+"""The same for what wrong positions of lamps do, which is smooth."""
 
 ROUNDS = 5
 """At the most, in which values and height are found; a level of millimetres bends the relief, which bends the level:
@@ -95,6 +100,8 @@ class Calibration:
         Pixels of another material.
     apart : (h, w) float32 array
         What these do to the height if their own normals are taken for right, mm.
+    by_positions : (3 L, h, w) float64 array
+        Bends of the height by a millimetre of each coordinate of each lamp, on coarse blocks, mm.
     """
 
     shared: Shared
@@ -104,6 +111,7 @@ class Calibration:
     height: Array
     strange: Array
     apart: Array
+    by_positions: Array
 
 
 def calibrate(
@@ -162,8 +170,10 @@ def calibrate(
     _follow(state, room, raw, lights, flat_field, equations=False)
     assert state.equations is not None
     apart = _with_strange(state, room, raw, lights, flat_field) - state.height
+    free = found.free if believed else ()
+    by_positions = _by_positions(state, room, raw, lights, flat_field, free)
     return Calibration(
-        state.shared, believed, covariance, state.equations, state.height, state.strange, apart
+        state.shared, believed, covariance, state.equations, state.height, state.strange, apart, by_positions
     )
 
 
@@ -197,11 +207,35 @@ def _follow(
     state.height = _integrate(room, state.scaled, state.strange, shared.level)
     if not equations:
         return
-    known = np.isfinite(state.scaled[..., 0]) & ~state.strange & raw.inside
-    pixels = choose_pixels(room, readings, known, PIXELS)
+    pixels = _pixels(state, room, raw, readings, PIXELS)
     place = (pixels.rows, pixels.columns)
     state.equations = linearise(room, pixels, lights, flat, state.height[place], state.scaled[place], shared)
     state.spread = state.equations.scale
+
+
+def _pixels(state: _State, room: ReducedRoom, raw: Raw, readings: Raw, wanted: int) -> Pixels:
+    """Pixels that have a say, about as many as are wanted."""
+    assert state.scaled is not None
+    known = np.isfinite(state.scaled[..., 0]) & ~state.strange & raw.inside
+    return choose_pixels(room, readings, known, wanted)
+
+
+def _by_positions(
+    state: _State,
+    room: ReducedRoom,
+    raw: Raw,
+    lights: LightField,
+    flat_field: FlatField,
+    free: tuple[int, ...],
+) -> Array:
+    """Bends of the height by a millimetre of each coordinate of each lamp; see `bends_by_positions`."""
+    flat = flat_field_of(flat_field, lights, state.shared)
+    readings = corrected(raw, flat_field, state.shared, state.scaled)
+    pixels = _pixels(state, room, raw, readings, FEWER_PIXELS)
+    place = (pixels.rows, pixels.columns)
+    assert state.scaled is not None
+    height, scaled = state.height[place], state.scaled[place]
+    return bends_by_positions(room, pixels, lights, flat, height, scaled, state.shared, free)
 
 
 def _step(

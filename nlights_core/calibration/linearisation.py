@@ -98,6 +98,7 @@ def linearise(
     z: Array,
     scaled: Array,
     shared: Shared,
+    more: Array | None = None,
 ) -> Equations:
     """Linearise the samples of some pixels about the present values.
 
@@ -113,6 +114,8 @@ def linearise(
         Scaled normals; NaN: has no say.
     shared : Shared
         Present values.
+    more : (N, L, E) float64 array, optional
+        Columns of further unknowns, behind those of the shared ones.
     """
     from nlights_core.calibration.compiled_elimination import linearise_samples
 
@@ -136,6 +139,8 @@ def linearise(
         )
 
     _in_parts(size, some)
+    if more is not None:
+        columns = np.concatenate([columns, more], axis=2)
     return _eliminate(room.grid, pixels, columns, slopes, residuals, precisions, scaled)
 
 

@@ -33,6 +33,8 @@ def calibration(
     tile = with_mask(store, tile)
     facts = facts_of_photographs(store, tile, "frames") | {"groups": list(groups)}
     facts["flats_averaged"] = tile.flats_averaged
+    positions = tile.stand.uncertainty_mm if tile.stand else None
+    facts["positions_mm"] = positions
     inputs = {"lights": lights, "flat_field": flat_field}
     ref, record = describe(
         "calibration", tile.artwork, tile.name, rests_on=RESTS_ON, inputs=inputs, facts=facts
@@ -51,7 +53,7 @@ def calibration(
         found = calibrate(small, field, divisor, groups, lambda share: progress(0.5 + 0.5 * share))
         missed = unreached(small.grid, found.height, field)
         answers = compare_halves(small, field, divisor, found)
-        errors = smooth_errors(found, field, small.grid)
+        errors = smooth_errors(found, field, small.grid, positions)
         write_calibration(folder, found, errors, missed, answers, noisier)
 
     return Work(ref, record, make)
