@@ -39,8 +39,8 @@ PIXELS = 20_000
 """About how many pixels have a say."""
 
 ROUNDS = 5
-"""At the most, in which values and height are found; a level of millimetres bends the relief, which bends the level: each round
-leaves a fifth of it."""
+"""At the most, in which values and height are found; a level of millimetres bends the relief, which bends the level:
+each round leaves a fifth of it."""
 
 STILL = 0.05
 """Share of its uncertainty by which a round must move a value, or else it is the last: another would move it by a
