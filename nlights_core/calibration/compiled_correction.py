@@ -25,7 +25,7 @@ from nlights_core.calibration.compiled_reflectance import (
 from nlights_core.frames import Array
 from nlights_core.machine.compiling import inner, kernel
 from nlights_core.photographs.blocks import BLOCK, TRIAL, USABLE, VALUE, X, Y, Z
-from nlights_core.photographs.strips import Blocks, Optics, Strip
+from nlights_core.photographs.strips import Blocks, Optics
 
 _ALL_PHOTONS = float(PHOTONS)
 
@@ -43,7 +43,9 @@ def _rough(face: Array, ray: Array, departure: float) -> float:
 
 @kernel
 def correct_blocks(
-    strip: Strip,
+    x_of: Array,
+    y_of: Array,
+    heights: Array,
     optics: Optics,
     blocks: Blocks,
     reach: Array,
@@ -59,7 +61,9 @@ def correct_blocks(
 
     Parameters
     ----------
-    strip, optics : Strip, Optics
+    x_of, y_of, heights : (w,), (h,), and (h, w) or (0, 0) float32 arrays
+        Of the strip, as `nlights_core.photographs.strips.Strip` has them: its numbers are of many types.
+    optics : Optics
     blocks : Blocks
         All of the strip, developed; changed in place.
     reach : (2,) float64 array
@@ -76,7 +80,7 @@ def correct_blocks(
         surface would show.
     """
     size, lamps, _ = blocks.samples.shape
-    columns = len(strip.x)
+    columns = len(x_of)
     across = (columns + BLOCK - 1) // BLOCK
     lobes = np.flatnonzero(gloss)
     matt = len(lobes) == 0 and departure == 0
@@ -88,9 +92,9 @@ def correct_blocks(
         samples, colours = blocks.samples[block], blocks.colours[block]
         removed[block] = 0
         for p in range(min(columns - column, BLOCK)):
-            x, y, z = np.float64(strip.x[column + p]), np.float64(strip.y[row]), 0.0
-            if strip.height.size and math.isfinite(strip.height[row, column + p]):
-                z = np.float64(strip.height[row, column + p])
+            x, y, z = np.float64(x_of[column + p]), np.float64(y_of[row]), 0.0
+            if heights.size and math.isfinite(heights[row, column + p]):
+                z = np.float64(heights[row, column + p])
             vx, vy, vz = 0.0, 0.0, 1.0
             if math.isfinite(optics.camera[2]):
                 x += (optics.camera[0] - x) * z / optics.camera[2]

@@ -114,8 +114,8 @@ def correct_strip(
     reach = np.array(half_field(grid, BEYOND) if missed else (np.inf, np.inf))
     removed = np.empty((len(blocks.samples), 3 * BLOCK), np.float32)
     correct_blocks(
-        strip, optics, blocks, reach, reflectance.gloss, reflectance.departure, SHADOW, MISFIT, 2 * TUNING, ROUNDS,
-        removed,
+        strip.x, strip.y, strip.height, optics, blocks, reach, reflectance.gloss, reflectance.departure, SHADOW,
+        MISFIT, 2 * TUNING, ROUNDS, removed,
     )  # fmt: skip
     rows, columns = len(strip.y), len(strip.x)
     colours = removed.reshape(rows, -1, 3, BLOCK).swapaxes(2, 3).reshape(rows, -1, 3)
