@@ -27,6 +27,9 @@ CLOSE = 5e-5
 FAINT = -30.0
 """Exponent below which a highlight without tails is none: at its peak it is 10^13 times as bright."""
 
+SCRATCH = 24
+"""Numbers that `improve` needs room for."""
+
 RAY = 12
 """Numbers of a sample's ray, which do not depend on the normal: 0-2 the light, 3 its length, 4-6 its unit vector,
 7-9 the half vector, 10 Fresnel's term, 11 the cosine between light and view."""
@@ -237,6 +240,74 @@ def add_square(weight: float, slope: Any, matrix: Any) -> None:
     matrix[5] += weight * z * z
 
 
+@inner
+def improve(
+    b: Any,
+    images: Any,
+    weights: Any,
+    rays: Any,
+    vx: float,
+    vy: float,
+    vz: float,
+    lobes: Any,
+    gloss: Any,
+    alphas: Any,
+    departure: float,
+    misfit: float,
+    limit: float,
+    rounds: int,
+    face: Any,
+    hidden: Any,
+    scratch: Any,
+) -> float:
+    """Improve the scaled normal ``b`` of one pixel, as `solve_normals` does; return its residual.
+
+    ``images`` and ``weights`` (L,) are its samples and ``rays`` (L, RAY) what `prepare` filled in.  Of ``scratch``
+    (SCRATCH,) 0-2 are a sample's derivatives by the normal, 3-5 those of a lobe, 6-11 the matrix, 12-14 the
+    right-hand side, 15-23 what `solve` finds.
+    """
+    slope, own, matrix = scratch[:3], scratch[3:6], scratch[6:12]
+    right, trial = scratch[12:15], scratch[15:24]
+    surprise = 0.0
+    for number in range(rounds + 1):
+        matrix[:] = 0
+        right[:] = 0
+        squares, used = 0.0, 0
+        turn(b, vx, vy, vz, lobes, alphas, FACETS, face, hidden)
+        floor = 0.02 * face[3]
+        for k in range(len(images)):
+            weight = weights[k]
+            if not weight > 0:
+                continue
+            used += 1
+            value = shade(b, rays[k], vx, vy, vz, lobes, gloss, alphas, departure, face, hidden, own, slope)
+            rest = images[k] - value
+            w = precision(value, weight, misfit, floor)
+            size = rest * rest * w
+            squares += size
+            if number == rounds:
+                continue
+            w /= 1 + size / (limit * limit)
+            add_square(w, slope, matrix)
+            right[0] += w * slope[0] * rest
+            right[1] += w * slope[1] * rest
+            right[2] += w * slope[2] * rest
+        surprise = math.sqrt(squares / max(used, 1))
+        if number == rounds or used < 3 or not solve(matrix, right, trial):
+            break
+        # A step that turns the normal away is not taken.
+        if b[2] + trial[2] > 0.1 * math.hypot(b[0] + trial[0], b[1] + trial[1]):
+            b[0] += trial[0]
+            b[1] += trial[1]
+            b[2] += trial[2]
+        else:
+            break
+        step = trial[0] * trial[0] + trial[1] * trial[1] + trial[2] * trial[2]
+        if step < (CLOSE * face[3]) ** 2:
+            break
+    return surprise
+
+
 @kernel
 def solve_normals(
     images: Array,
@@ -283,8 +354,7 @@ def solve_normals(
     """
     count = len(images)
     ray = np.empty((count, RAY))
-    slope, own, b, trial = np.empty(3), np.empty(3), np.empty(3), np.empty(9)
-    matrix, right = np.empty(6), np.empty(3)
+    image, weight, b, scratch = np.empty(count), np.empty(count), np.empty(3), np.empty(SCRATCH)
     lobes = np.flatnonzero(gloss)
     face, hidden = np.empty(FACE), np.empty((len(lobes), 2))
     for p in range(first, last):
@@ -294,46 +364,13 @@ def solve_normals(
             continue
         vx, vy, vz = np.float64(views[p, 0]), np.float64(views[p, 1]), np.float64(views[p, 2])
         for k in range(count):
+            image[k], weight[k] = np.float64(images[k, p]), np.float64(weights[k, p])
             prepare(
                 np.float64(lights[k, p, 0]), np.float64(lights[k, p, 1]), np.float64(lights[k, p, 2]),
                 vx, vy, vz, ray[k],
             )  # fmt: skip
-        for number in range(rounds + 1):
-            matrix[:] = 0
-            right[:] = 0
-            squares, used = 0.0, 0
-            turn(b, vx, vy, vz, lobes, alphas, FACETS, face, hidden)
-            floor = 0.02 * face[3]
-            for k in range(count):
-                weight = np.float64(weights[k, p])
-                if not weight > 0:
-                    continue
-                used += 1
-                value = shade(
-                    b, ray[k], vx, vy, vz, lobes, gloss, alphas, departure, face, hidden, own, slope
-                )
-                rest = images[k, p] - value
-                w = precision(value, weight, misfit, floor)
-                size = rest * rest * w
-                squares += size
-                if number == rounds:
-                    continue
-                w /= 1 + size / (limit * limit)
-                add_square(w, slope, matrix)
-                right[0] += w * slope[0] * rest
-                right[1] += w * slope[1] * rest
-                right[2] += w * slope[2] * rest
-            surprise[p] = math.sqrt(squares / max(used, 1))
-            if number == rounds or used < 3 or not solve(matrix, right, trial):
-                break
-            # A step that turns the normal away is not taken.
-            if b[2] + trial[2] > 0.1 * math.hypot(b[0] + trial[0], b[1] + trial[1]):
-                b[0] += trial[0]
-                b[1] += trial[1]
-                b[2] += trial[2]
-            else:
-                break
-            step = trial[0] * trial[0] + trial[1] * trial[1] + trial[2] * trial[2]
-            if step < (CLOSE * face[3]) ** 2:
-                break
+        surprise[p] = improve(
+            b, image, weight, ray, vx, vy, vz, lobes, gloss, alphas, departure, misfit, limit, rounds, face, hidden,
+            scratch,
+        )  # fmt: skip
         scaled[p, 0], scaled[p, 1], scaled[p, 2] = b[0], b[1], b[2]

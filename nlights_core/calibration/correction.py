@@ -7,14 +7,22 @@ from dataclasses import replace
 import numpy as np
 
 from nlights_core.algorithms import PHOTONS
-from nlights_core.calibration.linearisation import TUNING, improve_normals
+from nlights_core.calibration.linearisation import MISFIT, TUNING, improve_normals
 from nlights_core.calibration.reflectance import Reflectance, excess
-from nlights_core.calibration.sampling import BEYOND, Samples, mean_flat, view_directions, within_flat
+from nlights_core.calibration.sampling import (
+    BEYOND,
+    Samples,
+    half_field,
+    mean_flat,
+    view_directions,
+    within_flat,
+)
 from nlights_core.calibration.unknowns import Shared, nothing
 from nlights_core.fields import LightField
 from nlights_core.frames import Array, PixelGrid
 from nlights_core.photographs.development import Band
 from nlights_core.photographs.flat_fields import FlatField
+from nlights_core.photographs.strips import Blocks, Optics, Strip
 from nlights_core.solving.least_squares import fit, lit
 
 SHADOW = 0.02
@@ -83,6 +91,40 @@ def take_out_gloss(band: Band, grid: PixelGrid, height: Array | None, reflectanc
         images=images.reshape(band.images.shape),
         grey=(plain - departure * albedo).reshape(band.grey.shape),
     )
+
+
+def correct_strip(
+    strip: Strip, optics: Optics, blocks: Blocks, grid: PixelGrid, reflectance: Reflectance, missed: bool
+) -> Array:
+    """Do as `take_out_gloss` and `leave_out_unreached` do, with developed blocks of a strip, in place.
+
+    Parameters
+    ----------
+    strip, optics, blocks : Strip, Optics, Blocks
+        See `nlights_core.photographs.strips`.
+    grid : PixelGrid
+        Of the tile.
+    reflectance : Reflectance
+    missed : bool
+        Whether samples whose ray misses the photographed flat are left out.
+
+    Returns
+    -------
+    (h, w, 3) float32 array
+        What was taken out of the apparent colour.
+    """
+    from nlights_core.calibration.compiled_correction import correct_blocks
+    from nlights_core.photographs.blocks import BLOCK
+
+    reach = np.array(half_field(grid, BEYOND) if missed else (np.inf, np.inf))
+    removed = np.empty((len(blocks.samples), 3 * BLOCK), np.float32)
+    correct_blocks(
+        strip.x, strip.y, strip.height, optics, blocks, reach, reflectance.gloss, reflectance.roughnesses,
+        reflectance.departure, SHADOW, MISFIT, 2 * TUNING, ROUNDS, removed,
+    )  # fmt: skip
+    rows, columns = len(strip.y), len(strip.x)
+    colours = removed.reshape(rows, -1, 3, BLOCK).swapaxes(2, 3).reshape(rows, -1, 3)
+    return colours[:, :columns]
 
 
 def leave_out_unreached(band: Band, grid: PixelGrid, height: Array | None, lights: LightField) -> Band:

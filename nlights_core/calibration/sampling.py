@@ -166,9 +166,14 @@ def within_flat(grid: PixelGrid, lights: LightField, points: Array, beyond: floa
         Share of the field's longer side that it may lie outside.
     """
     x, y = np.moveaxis(lights.plane_points(points), 1, 0)
-    margin = beyond * max(grid.shape) + 0.5
-    across, up = (grid.columns / 2 + margin) * grid.pixel_size, (grid.rows / 2 + margin) * grid.pixel_size
+    across, up = half_field(grid, beyond)
     return np.asarray((np.abs(x) <= across) & (np.abs(y) <= up))
+
+
+def half_field(grid: PixelGrid, beyond: float) -> tuple[float, float]:
+    """Half the photographed field, across and up, and a share of its longer side beyond it, mm."""
+    margin = beyond * max(grid.shape) + 0.5
+    return (grid.columns / 2 + margin) * grid.pixel_size, (grid.rows / 2 + margin) * grid.pixel_size
 
 
 def view_directions(grid: PixelGrid, points: Array) -> Array:

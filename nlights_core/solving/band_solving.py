@@ -27,6 +27,7 @@ from nlights_core.machine.progress import Progress
 from nlights_core.photographs.development import Band, Darkroom, Rows
 from nlights_core.photographs.flat_fields import FlatField
 from nlights_core.solving.agreement import AgreementMeter, write_agreement
+from nlights_core.solving.correction import Correction
 from nlights_core.solving.kernels import Images
 
 SHADOW = 0.02
@@ -53,7 +54,7 @@ def solve_tile(
     progress: Progress,
     bias: Array | None = None,
     white: float | None = None,
-    correct: Callable[[Band], Band] | None = None,
+    correction: Correction | None = None,
 ) -> None:
     """Solve a tile band by band into a folder.
 
@@ -75,8 +76,8 @@ def solve_tile(
         Subtracted from the normals, which are then made unit again.
     white : float, optional
         Albedo of the flat, which makes the albedo absolute; None without a photographed flat.
-    correct : callable, optional
-        Takes out of a band what is not of a matt surface, before it is solved.
+    correction : Correction, optional
+        Takes out what is not of a matt surface, before it is solved.
 
     Raises
     ------
@@ -93,12 +94,15 @@ def solve_tile(
         "shadow": (shape, np.uint8),
     }
     meter = AgreementMeter(room.grid, partial(solve_band, solver))
-    plain = correct is None and not room.veil and not lights.ambient.any()
+    plain = not room.veil and not lights.ambient.any()
     if available() and flat_field is not None and plain:
         from nlights_core.solving.fused_solving import FusedSolver
 
-        strips = FusedSolver(room, solver, lights, flat_field, height, SHADOW, scale).strips(meter)
+        strips = FusedSolver(room, solver, lights, flat_field, height, SHADOW, scale, correction).strips(
+            meter
+        )
     else:
+        correct = correction.of_band if correction else None
         strips = _by_bands(room, solver, lights, flat_field, height, scale, meter, correct)
     with ExitStack() as stack:
         out: dict[str, BandWriter | BandTiff] = {
@@ -140,7 +144,7 @@ def _by_bands(
     meter: AgreementMeter,
     correct: Callable[[Band], Band] | None,
 ) -> Iterator[tuple[int, int, Images]]:
-    """Solve where there is no flat field, ambient light or gloss; and without compiled loops."""
+    """Solve where there is no flat field, or ambient light; and without compiled loops."""
 
     def imaged(raw: Band) -> tuple[Images, Band]:
         band = correct(raw) if correct else raw

@@ -31,6 +31,7 @@ from nlights_core.photographs.strips import Blocks, Optics, Strip
 from nlights_core.solving.agreement import AgreementMeter
 from nlights_core.solving.compiled_delivery import deliver, strip_solver, take_solution
 from nlights_core.solving.compiled_solutions import FOUND
+from nlights_core.solving.correction import Correction
 from nlights_core.solving.kernels import Images, rule_of, scratch
 from nlights_core.solving.least_squares import UsableLights
 from nlights_core.solving.rules import Rule
@@ -65,6 +66,9 @@ class FusedSolver:
         Share of the brightest sample below which one is counted as shadow.
     white : float
         Albedo of the flat.
+    correction : Correction, optional
+        Takes out of the samples what is not of a matt surface.  With it a solver sees plain arrays, also one that
+        has a kernel.
     """
 
     room: Darkroom
@@ -74,6 +78,7 @@ class FusedSolver:
     height: Rows | None
     shadow: float
     white: float
+    correction: Correction | None = None
 
     def strips(self, meter: AgreementMeter) -> Iterator[tuple[int, int, Images]]:
         """Solve all strips from top to bottom, then check the exposures.
@@ -129,7 +134,7 @@ class FusedSolver:
 
     @cached_property
     def _rule(self) -> Rule | None:
-        return rule_of(self.solver)
+        return None if self.correction else rule_of(self.solver)
 
     @cached_property
     def _count(self) -> int:
@@ -213,22 +218,26 @@ class FusedSolver:
             solve_strip = strip_solver(self._rule.kernel)
             solve_strip(strip, self.optics, *limits, self._rule.limits, white, blocks, work, images)
         else:
-            blocks, band = self._developed(strip)
+            blocks, band, removed = self._developed(strip)
             found = np.empty((len(blocks.samples), FOUND), np.float32)
             solution = verbs.solve(self.solver, band.grey, band.lights, band.weights)
             normals, albedo, uncertainty, used = (np.require(p, np.float32, ["C", "W"]) for p in solution)
             take_solution(blocks.samples, normals, albedo, uncertainty, used, found)
             deliver(blocks, found, 0, white, images)
+            if removed is not None:
+                # The apparent colour is that of the photographs, with all that shines.
+                images.reflection[:] += white * removed[..., : images.reflection.shape[-1]]
         pixels = np.count_nonzero(strip.inside) if strip.inside.size else images.residual.size
         return int(pixels), blocks.totals[: self._count]
 
-    def _developed(self, strip: Strip) -> tuple[Blocks, Band]:
-        """A strip in blocks, and as a solver sees it."""
+    def _developed(self, strip: Strip) -> tuple[Blocks, Band, Array | None]:
+        """A strip in blocks, corrected; as a solver sees it; and what was taken out of the apparent colour."""
         rows, columns = len(strip.y), len(strip.x)
         lamps = len(self.lights.lamps)
         count = rows * -(-columns // BLOCK)
         blocks = self._blocks(np.empty((count, lamps, SAMPLE), np.float32))
         develop(strip, self.optics, 0, np.float32(self.shadow), np.float32(0), blocks)
+        removed = self.correction.of_strip(strip, self.optics, blocks) if self.correction else None
 
         def plane(offset: int) -> Array:
             planes = blocks.samples[..., offset : offset + BLOCK].reshape(rows, -1, lamps, BLOCK)
@@ -237,7 +246,7 @@ class FusedSolver:
         grey, weights = plane(VALUE), plane(USABLE)
         rays = np.stack([plane(k) for k in (X, Y, Z)], axis=-1)
         saturated = np.zeros(grey.shape, bool)
-        return blocks, Band(0, rows, grey[..., None], weights, saturated, rays, None, grey)
+        return blocks, Band(0, rows, grey[..., None], weights, saturated, rays, None, grey), removed
 
     def _blocks(self, samples: Array) -> Blocks:
         size, lamps, _ = samples.shape

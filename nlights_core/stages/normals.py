@@ -2,25 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 from nlights_core.algorithms import NormalSolver
-from nlights_core.calibration.correction import known_lights, leave_out_unreached, take_out_gloss
+from nlights_core.calibration.correction import (
+    correct_strip,
+    known_lights,
+    leave_out_unreached,
+    take_out_gloss,
+)
 from nlights_core.calibration.record import read_calibration
 from nlights_core.calibration.reflectance import Reflectance
 from nlights_core.calibration.sampling import flat_field_of, mean_flat
 from nlights_core.capture import Tile
 from nlights_core.fields import LightField
 from nlights_core.files.arrays import read_array
-from nlights_core.frames import PixelGrid
+from nlights_core.frames import Array, PixelGrid
 from nlights_core.machine.progress import Progress
 from nlights_core.near_light.overview import Enlarged, block_edge
 from nlights_core.photographs.development import Band, Rows, darkroom
 from nlights_core.photographs.flat_fields import read_flat_field
 from nlights_core.photographs.headers import grid_of, survey
 from nlights_core.photographs.noise import read_noise
+from nlights_core.photographs.strips import Blocks, Optics, Strip
 from nlights_core.solving import band_solving
+from nlights_core.solving.correction import Correction
 from nlights_core.stages.inputs import facts_of_photographs, read_lights, with_mask
 from nlights_core.store import ArtefactRef, Store, Work, describe
 
@@ -64,14 +70,14 @@ def normals(
             if flat_field:
                 known = height and read_noise(store.path(height))
                 room.noise = known or read_noise(store.path(flat_field)) or room.noise
-            correct = None
+            correction = None
             if height and height.stage == "calibration" and divisor is not None:
                 shared = read_calibration(store.path(height)).shared
                 room.veil = shared.additive * mean_flat(divisor)
                 field, divisor = known_lights(field, divisor, shared), flat_field_of(divisor, field, shared)
-                correct = _correction(store.path(height), room.grid, before, shared.reflectance, field)
+                correction = _correction(store.path(height), room.grid, before, shared.reflectance, field)
             band_solving.solve_tile(
-                room, solver, field, divisor, before, folder, progress, removed, white, correct
+                room, solver, field, divisor, before, folder, progress, removed, white, correction
             )
 
     return Work(ref, record, make)
@@ -79,7 +85,7 @@ def normals(
 
 def _correction(
     calibration: Path, grid: PixelGrid, height: Rows | None, reflectance: Reflectance, lights: LightField
-) -> Callable[[Band], Band] | None:
+) -> Correction | None:
     """Make what takes out of a band of samples what is not of a matt surface under a known flat; None: nothing."""
     missed = read_calibration(calibration).unreached > 0
     if reflectance.matt and not missed:
@@ -91,4 +97,7 @@ def _correction(
             band = leave_out_unreached(band, grid, rows, lights)
         return band if reflectance.matt else take_out_gloss(band, grid, rows, reflectance)
 
-    return correct
+    def correct_blocks(strip: Strip, optics: Optics, blocks: Blocks) -> Array:
+        return correct_strip(strip, optics, blocks, grid, reflectance, missed)
+
+    return Correction(correct, correct_blocks)

@@ -149,7 +149,7 @@ def _jobs() -> list[dict[str, Any]]:
     others = [{"recipe": {**single, "normals": {"use": use}}, "until": "normals"} for use in OTHER_SOLVERS]
     strips = {"recipe": single, "until": "normals"}
     return [
-        {"runs": [{"recipe": default}, {"recipe": paper}]},
+        {"runs": [{"recipe": default}, {"recipe": paper}, {**strips, "varnish": True}]},
         {"runs": [strips, *others, {**strips, "bits": 8}, {"recipe": psbox}]},
     ]
 
@@ -160,19 +160,23 @@ def measure_tiny(runs: Sequence[Mapping[str, Any]]) -> None:
     Parameters
     ----------
     runs : sequence of mapping
-        "recipe": a recipe's content; "bits": of the photographs, 16 if not given; "until": the last stage, all
-        if not given.
+        "recipe": a recipe's content; "bits": of the photographs, 16 if not given; "varnish": whether there is some;
+        "until": the last stage, all if not given.
     """
     from nlights_core.simulation.captures import simulate
 
     with TemporaryDirectory() as folder:
         place = Path(folder)
-        simulate(place / "16", load_stand("horizontal"), scene="painting", width=WIDTH, seed=1)
+        stand = load_stand("horizontal")
+        simulate(place / "16", stand, scene="painting", width=WIDTH, seed=1)
         for run in runs:
             bits = run.get("bits", 16)
             if bits == 8:
                 _write_8_bit(place / "16", place / "8")
-            (tile,) = load_capture(place / str(bits))
+            name = "varnished" if run.get("varnish") else str(bits)
+            if run.get("varnish"):
+                simulate(place / name, stand, scene="painting", width=WIDTH, varnish=True, seed=1)
+            (tile,) = load_capture(place / name)
             _measure(tile, load_recipe(run["recipe"]), Store(place / "store"), run.get("until"))
 
 
