@@ -8,12 +8,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nlights_core.calibration.unknowns import Group
+from nlights_core.calibration.linearisation import Equations
+from nlights_core.calibration.unknowns import Group, Shared, prior
 from nlights_core.frames import Array
 
 MARGIN = 10.0
 """By how much a group must raise the logarithm of the likelihood (nats) to be believed.  In 42 captures the least of
 a true group was 34, the most of a false one 0.8; 6 made the same choices."""
+
+
+STILL = 0.05
+"""Share of its uncertainty by which a round must move a value, or else it is the last: another would move it by a
+fifth of that."""
 
 
 class Found(NamedTuple):
@@ -37,7 +43,7 @@ class Found(NamedTuple):
     evidence: float
 
 
-def choose(
+def choose_groups(
     matrix: Array,
     right: Array,
     precisions: Array,
@@ -104,3 +110,70 @@ def _fit(
     out = np.zeros(len(right))
     out[places] = centres[places] + values
     return Found(out, tuple(free), tuple(group.name for group in some), known / 2 - MARGIN * len(some))
+
+
+def choose(
+    equations: Equations, shared: Shared, kinds: list[Group], every: bool, always: tuple[int, ...]
+) -> Found:
+    """Choose by the equations of a round, about the values that they were made with."""
+    precisions, centres = prior(shared)
+    right = equations.right + equations.matrix @ shared.vector()
+    return choose_groups(equations.matrix, right, precisions, centres, kinds, every, always)
+
+
+def choose_clear(
+    equations: Equations, shared: Shared, kinds: list[Group], every: bool, always: tuple[int, ...]
+) -> Found:
+    """Choose groups of which there is evidence, and which stand out of what parts of the field say differently."""
+    while True:
+        found = choose(equations, shared, kinds, every, always)
+        if every or not found.believed:
+            return found
+        scatter = covariance(equations, shared, found)
+        _, centres = prior(shared)
+        clear = {}
+        for name in found.believed:
+            places = [
+                p for p in found.free if any(p in group.places for group in kinds if group.name == name)
+            ]
+            apart = found.values[places] - centres[places]
+            likelihood = float(apart @ np.linalg.solve(scatter[np.ix_(places, places)], apart)) / 2
+            clear[name] = likelihood - len(places) / 2 - MARGIN
+        weakest = min(clear, key=lambda name: clear[name])
+        if clear[weakest] >= 0:
+            return found
+        kinds = [group for group in kinds if group.name != weakest]
+
+
+def stands(equations: Equations, shared: Shared, found: Found) -> bool:
+    """Test whether a round moves nothing by more than `STILL` of its uncertainty."""
+    places = np.array(found.free, np.intp)
+    moved = (found.values - shared.vector())[places]
+    precisions, _ = prior(shared)
+    inverse = np.linalg.inv(equations.matrix[np.ix_(places, places)] + np.diag(precisions[places]))
+    return bool(np.all(np.abs(moved) < STILL * np.sqrt(np.diag(inverse))))
+
+
+def covariance(equations: Equations, shared: Shared, found: Found) -> Array:
+    """Covariance of the unknowns that were fitted, (M, M): the larger of two ways to find it.
+
+    The scatter of the equations between parts of the field knows what neighbours share; the posterior, that what is
+    wrong everywhere does not scatter.
+    """
+    precisions, _ = prior(shared)
+    places = np.array(found.free, np.intp)
+    block = np.ix_(places, places)
+    inverse = np.linalg.inv(equations.matrix[block] + np.diag(precisions[places]))
+    scattered = inverse @ (equations.scatter[block] + np.diag(precisions[places])) @ inverse
+    out = np.zeros_like(equations.matrix)
+    out[block] = _larger(inverse, scattered)
+    return out
+
+
+def _larger(one: Array, other: Array) -> Array:
+    """The least covariance that is no smaller than one, and in no direction of that smaller than another."""
+    root = np.linalg.cholesky(one)
+    back = np.linalg.inv(root)
+    values, vectors = np.linalg.eigh(back @ other @ back.T)
+    wide = root @ vectors
+    return np.asarray((wide * np.maximum(values, 1)) @ wide.T)

@@ -26,7 +26,7 @@ from nlights_core.calibration.sampling import (
     flat_field_of,
     view_directions,
 )
-from nlights_core.calibration.unknowns import Group, Shared, groups, narrowed, nothing, prior
+from nlights_core.calibration.unknowns import Group, Shared, groups, narrowed, nothing
 from nlights_core.errors import TileError
 from nlights_core.fields import LightField
 from nlights_core.frames import Array
@@ -46,10 +46,6 @@ FEWER_PIXELS = 5_000
 ROUNDS = 5
 """At the most, in which values and height are found; a level of millimetres bends the relief, which bends the level:
 each round leaves a fifth of it."""
-
-STILL = 0.05
-"""Share of its uncertainty by which a round must move a value, or else it is the last: another would move it by a
-fifth of that."""
 
 WITHOUT_CHOICE = 2
 """Rounds in which all groups are fitted: before the others are nearly right, evidence of one is not."""
@@ -149,8 +145,10 @@ def calibrate(
         _follow(state, room, raw, lights, flat_field)
         assert state.equations is not None
         before, last = state.shared, found
-        found = _choose(state.equations, before, kinds, number < WITHOUT_CHOICE, always)
-        stands = last is not None and last.free == found.free and _stands(state, found)
+        found = evidence.choose_clear(state.equations, before, kinds, number < WITHOUT_CHOICE, always)
+        stands = (
+            last is not None and last.free == found.free and evidence.stands(state.equations, before, found)
+        )
         state.shared = before.moved(found.values)
         if number in NARROWED and "gloss" in found.believed:
             state.shared = _narrow(state, before, found, kinds, NARROWED[number])
@@ -160,7 +158,9 @@ def calibrate(
             break
     assert found is not None
     assert state.equations is not None
-    covariance = _covariance(state.equations, state.shared, found) + _doubt(state, before, found, kinds)
+    covariance = evidence.covariance(state.equations, state.shared, found) + _doubt(
+        state, before, found, kinds
+    )
     believed = (*(name for name in chosen if name == "level"), *found.believed)
     if smooth_residual(state.equations) > LOST:
         # What is believed of photographs that the model does not fit would be wrong: nothing is taken out of them.
@@ -238,38 +238,6 @@ def _by_positions(
     return bends_by_positions(room, pixels, lights, flat, height, scaled, state.shared, free)
 
 
-def _step(
-    equations: Equations, shared: Shared, kinds: list[Group], every: bool, always: tuple[int, ...]
-) -> evidence.Found:
-    precisions, centres = prior(shared)
-    right = equations.right + equations.matrix @ shared.vector()
-    return evidence.choose(equations.matrix, right, precisions, centres, kinds, every, always)
-
-
-def _choose(
-    equations: Equations, shared: Shared, kinds: list[Group], every: bool, always: tuple[int, ...]
-) -> evidence.Found:
-    """Choose groups of which there is evidence, and which stand out of what parts of the field say differently."""
-    while True:
-        found = _step(equations, shared, kinds, every, always)
-        if every or not found.believed:
-            return found
-        covariance = _covariance(equations, shared, found)
-        _, centres = prior(shared)
-        clear = {}
-        for name in found.believed:
-            places = [
-                p for p in found.free if any(p in group.places for group in kinds if group.name == name)
-            ]
-            apart = found.values[places] - centres[places]
-            likelihood = float(apart @ np.linalg.solve(covariance[np.ix_(places, places)], apart)) / 2
-            clear[name] = likelihood - len(places) / 2 - evidence.MARGIN
-        weakest = min(clear, key=lambda name: clear[name])
-        if clear[weakest] >= 0:
-            return found
-        kinds = [group for group in kinds if group.name != weakest]
-
-
 def _narrow(state: _State, before: Shared, found: evidence.Found, kinds: list[Group], width: float) -> Shared:
     """Move the lobes of each kind to where the gloss would be if it were of that kind."""
     assert state.equations is not None
@@ -279,35 +247,9 @@ def _narrow(state: _State, before: Shared, found: evidence.Found, kinds: list[Gr
     for kind in dict.fromkeys(KINDS):
         places = tuple(first + place for place, other in enumerate(KINDS) if other == kind)
         trial = list({**others, "gloss": Group("gloss", places, True)}.values())
-        alone = _step(state.equations, before, trial, True, (0,) if 0 in found.free else ())
+        alone = evidence.choose(state.equations, before, trial, True, (0,) if 0 in found.free else ())
         apart[kind] = alone.values[first : first + len(KINDS)]
     return narrowed(state.shared, apart, width)
-
-
-def _stands(state: _State, found: evidence.Found) -> bool:
-    """Test whether a round moves nothing by more than `STILL` of its uncertainty."""
-    assert state.equations is not None
-    places = np.array(found.free, np.intp)
-    moved = (found.values - state.shared.vector())[places]
-    precisions, _ = prior(state.shared)
-    inverse = np.linalg.inv(state.equations.matrix[np.ix_(places, places)] + np.diag(precisions[places]))
-    return bool(np.all(np.abs(moved) < STILL * np.sqrt(np.diag(inverse))))
-
-
-def _covariance(equations: Equations, shared: Shared, found: evidence.Found) -> Array:
-    """Covariance of the unknowns that were fitted, (M, M): the larger of two ways to find it.
-
-    The scatter of the equations between parts of the field knows what neighbours share; the posterior, that what is
-    wrong everywhere does not scatter.
-    """
-    precisions, _ = prior(shared)
-    places = np.array(found.free, np.intp)
-    block = np.ix_(places, places)
-    inverse = np.linalg.inv(equations.matrix[block] + np.diag(precisions[places]))
-    scattered = inverse @ (equations.scatter[block] + np.diag(precisions[places])) @ inverse
-    out = np.zeros_like(equations.matrix)
-    out[block] = _larger(inverse, scattered)
-    return out
 
 
 def _doubt(state: _State, before: Shared, found: evidence.Found, kinds: list[Group]) -> Array:
@@ -325,7 +267,7 @@ def _doubt(state: _State, before: Shared, found: evidence.Found, kinds: list[Gro
         return out
     kept = {group.name: group for group in kinds if group.name in found.believed}
     kept["gloss"] = Group("gloss", tails, True)
-    other = _step(
+    other = evidence.choose(
         state.equations,
         before,
         list(kept.values()),
@@ -334,15 +276,6 @@ def _doubt(state: _State, before: Shared, found: evidence.Found, kinds: list[Gro
     )
     apart = UNLIKE * (other.values - found.values)
     return np.asarray(np.outer(apart, apart))
-
-
-def _larger(one: Array, other: Array) -> Array:
-    """The least covariance that is no smaller than one, and in no direction of that smaller than another."""
-    root = np.linalg.cholesky(one)
-    back = np.linalg.inv(root)
-    values, vectors = np.linalg.eigh(back @ other @ back.T)
-    wide = root @ vectors
-    return np.asarray((wide * np.maximum(values, 1)) @ wide.T)
 
 
 def _solve(

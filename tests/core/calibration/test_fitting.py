@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from nlights_core.calibration.fitting import _larger, calibrate
+from nlights_core.calibration.evidence import _larger
+from nlights_core.calibration.fitting import calibrate
 from nlights_core.calibration.linearisation import residual_spread
 from nlights_core.calibration.record import MISFIT, read_calibration, write_calibration
 from nlights_core.errors import TileError

@@ -33,6 +33,7 @@ def test_a_sound_capture_has_its_level_and_no_warning():
         "Light that the dark frame lacks": 0,
         "Light of the room": 0,
         "Gloss": 0,
+        "Roughness of the gloss": None,
         "Departure from Lambert's law": 0,
         "Gloss of the flat": 0,
         "Smooth residual": pytest.approx(0.02),
@@ -70,6 +71,7 @@ def test_what_was_found_is_stated_in_units_that_people_know():
     values = {name: number.value for name, number in found.items()}
     assert values["Drift of the lamps since the flats"] == pytest.approx(2.0)
     assert values["Gloss"] == pytest.approx(3.0)
+    assert values["Roughness of the gloss"] == pytest.approx(0.15 ** (2 / 3) * 0.4 ** (1 / 3))
     assert values["Departure from Lambert's law"] == 0.3
     assert values["Light that the dark frame lacks"] == pytest.approx(0.1)
     assert values["Light of the room"] == pytest.approx(0.2)
