@@ -33,9 +33,7 @@ from nlights_core.capture import Tile
 from nlights_core.capture_warnings import CaptureWarning
 from nlights_core.fields import LightField
 from nlights_core.frames import Array
-from nlights_core.photographs.shifted import Shift, light_at
-
-FILE = "shifts.json"
+from nlights_core.photographs.shifted import FILE, Shift, light_at, shifts_by_lamp
 
 CERTAIN = 5.0
 """How many times their standard error the shifts must be, rms over the photographs.  Sound captures reach 1 to 2.5
@@ -180,7 +178,6 @@ def light_stayed(relative: RelativeLight, moves: Array, light: Array) -> bool:
         left = right_side - matrix @ found
         spread = max(1.4826 * float(np.median(np.abs(left))), 1e-12)
         trust = 1 / np.sqrt(1 + (left / (2.4 * spread)) ** 2)
-    print("light", found[-1])
     return bool(found[-1] < HALF)
 
 
@@ -288,8 +285,6 @@ def write_shifts(folder: Path, shifts: Shifts) -> None:
 def read_shifts(folder: Path) -> Shifts:
     """Read what `write_shifts` wrote."""
     record = json.loads((folder / FILE).read_text(encoding="utf-8"))
-    shifts = {
-        lamp: Shift(right, down, tuple(tuple(row) for row in light))
-        for lamp, (right, down, light) in record["shifts"].items()
-    }
-    return Shifts(shifts, record["found"], record["error"], tuple(record["left"]), record["artwork"])
+    return Shifts(
+        shifts_by_lamp(folder), record["found"], record["error"], tuple(record["left"]), record["artwork"]
+    )

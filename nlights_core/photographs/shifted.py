@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import NamedTuple
 
@@ -35,6 +36,19 @@ class Shift(NamedTuple):
     right: float
     down: float
     light: tuple[tuple[float, ...], ...] = ()
+
+
+FILE = "shifts.json"
+"""Where the shifts of a tile's photographs stand."""
+
+
+def shifts_by_lamp(folder: Path) -> dict[str, Shift]:
+    """Read the shifts to take out, which an alignment wrote."""
+    record = json.loads((folder / FILE).read_text(encoding="utf-8"))
+    return {
+        lamp: Shift(right, down, tuple(tuple(row) for row in light))
+        for lamp, (right, down, light) in record["shifts"].items()
+    }
 
 
 class ShiftedPhotograph(Photograph):

@@ -6,13 +6,12 @@ import json
 from pathlib import Path
 from typing import Any
 
-from nlights_core.agreement.shifts import read_shifts
 from nlights_core.capture import Tile
 from nlights_core.errors import TileError
 from nlights_core.fields import LightField
 from nlights_core.machine.band_threads import in_order
 from nlights_core.photographs.headers import survey
-from nlights_core.photographs.shifted import Shift
+from nlights_core.photographs.shifted import Shift, shifts_by_lamp
 from nlights_core.store import ArtefactRef, Store
 
 FLATS = "_flats"
@@ -84,4 +83,4 @@ def shifts_of(store: Store, alignment: ArtefactRef | None) -> dict[str, Shift]:
     """Shifts to take out of photographs, by lamp; none where nobody asked."""
     if alignment is None:
         return {}
-    return read_shifts(store.path(alignment)).shifts
+    return shifts_by_lamp(store.path(alignment))
