@@ -145,7 +145,7 @@ def _weights(fraction: float) -> Array:
     from scipy.ndimage import shift
 
     if not fraction:
-        return np.eye(2 * REACH + 1)[REACH]
+        return np.asarray(np.eye(2 * REACH + 1)[REACH])
     impulse = np.zeros(8 * REACH + 1)
     impulse[4 * REACH] = 1
     # What an impulse gives at all places is, read backwards, what all samples give at one.

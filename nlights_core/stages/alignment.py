@@ -12,7 +12,7 @@ from nlights_core.machine.progress import Progress
 from nlights_core.stages.inputs import facts_of_photographs, read_lights, with_mask
 from nlights_core.store import ArtefactRef, Store, Work, describe
 
-RESTS_ON = ("agreement", "capture_warnings", "lamps", "photographs")
+RESTS_ON = ("agreement", "capture_warnings", "photographs")
 """Departments whose code decides the result, beside what all results rest on."""
 
 
