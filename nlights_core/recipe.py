@@ -43,6 +43,10 @@ class Sought(Record):
     ambient: bool = Field(
         default=True, description="light that the dark frame lacks, and the light of the room"
     )
+    align: bool = Field(
+        default=False,
+        description="how far each photograph moved against the others; taken out while it is developed",
+    )
 
     def groups(self) -> tuple[str, ...]:
         """Names of the groups of unknowns, as `nlights_core.calibration.unknowns.groups` has them."""

@@ -96,7 +96,7 @@ class Moves:
     measured: tuple[int, ...] = ()
 
 
-def _evidence(
+def weighed_structure(
     levels: Sequence[Sequence[Detail]], around: Surroundings, moves: Array, known: Known
 ) -> FineStructure:
     """Fine structure of details of several sizes, per pixel of movement, each by what it knows of the movement."""
@@ -137,7 +137,7 @@ def _without_noise(products: Array, count: int) -> Array:
     return np.asarray(products - min(1, (1 - SHARED) / max(most, 1e-9)) * own)
 
 
-def _misfit(structure: FineStructure, moves: Array) -> Misfit:
+def misfit_of(structure: FineStructure, moves: Array) -> Misfit:
     """Misfit by total movements, px, after ``moves`` were taken back."""
     products = structure.products.sum(axis=0)
     count = len(moves)
@@ -168,7 +168,7 @@ def find_moves(levels: Sequence[Sequence[Detail]], around: Surroundings) -> tupl
         scale = levels[level][0].scale
         least = FOLLOWED * scale if level else LEAST
         for _ in range(ROUNDS):
-            structure = _evidence(levels[level:], around, moves.pixels, known)
+            structure = weighed_structure(levels[level:], around, moves.pixels, known)
             before = moves.pixels
             if np.count_nonzero(structure.left() > 0) < (FEW_TILES if level else TILES):
                 moves = Moves(np.zeros_like(before), False)
@@ -193,18 +193,20 @@ def _refine(levels: Sequence[Sequence[Detail]], around: Surroundings, moves: Mov
     lamps = np.flatnonzero(moves.pixels.any(axis=1)).tolist()
     pixels = moves.pixels
     for _ in range(ROUNDS):
-        parts = _clearest(levels, around, pixels)
+        parts = clearest_structures(levels, around, pixels)
         structure, before = join(parts), pixels
         if not len(structure.sizes):
             break
-        pixels = pixels + _misfit(structure, np.zeros_like(pixels)).least(lamps, moves.together)[1]
+        pixels = pixels + misfit_of(structure, np.zeros_like(pixels)).least(lamps, moves.together)[1]
         if np.abs(pixels - before).max() < FINAL:
             break
     measured = tuple(lamp for lamp in lamps if _agree(parts, structure, lamp))
     return Moves(np.where(np.hypot(*pixels.T)[:, None] > LEAST, pixels, 0.0), moves.together, measured)
 
 
-def _clearest(levels: Sequence[Sequence[Detail]], around: Surroundings, moves: Array) -> list[FineStructure]:
+def clearest_structures(
+    levels: Sequence[Sequence[Detail]], around: Surroundings, moves: Array
+) -> list[FineStructure]:
     """Fine structures of all sizes, brought back, without gloss where it is much of what is unexplained."""
     still = np.zeros_like(moves)
     glossy = [fine_structure(one, around, moves) for one in levels]
@@ -243,7 +245,7 @@ def _wanted(structure: FineStructure, lamp: int) -> tuple[Array, float]:
 
 def _follow(structure: FineStructure, moves: Array, least: float, last: bool) -> Moves:
     """Better movements, as far as they are certain and not below ``least`` px."""
-    misfit = _misfit(structure, moves)
+    misfit = misfit_of(structure, moves)
     count = len(moves)
     most = misfit.level - misfit.least(range(count))[0]
     best, enough = Moves(np.zeros_like(moves), False), False

@@ -24,6 +24,7 @@ from nlights_core.photographs.headers import grid_of, survey
 from nlights_core.photographs.images import EYE, ImageInfo, Photograph, grey, is_saturated
 from nlights_core.photographs.masks import Mask
 from nlights_core.photographs.noise import Noise, measure_noise
+from nlights_core.photographs.shifted import Shift, ShiftedPhotograph
 
 BAND_BYTES = 64 << 20
 """About what the images and lights of one band may take, where there is memory for it."""
@@ -452,8 +453,17 @@ def _related(
 
 
 @contextmanager
-def darkroom(tile: Tile, scratch: Path, *, flats: bool = False) -> Iterator[Darkroom]:
+def darkroom(
+    tile: Tile,
+    scratch: Path,
+    *,
+    flats: bool = False,
+    shifts: Mapping[str, Shift] | None = None,
+) -> Iterator[Darkroom]:
     """Open the photographs of a tile (or of its flats) together.
+
+    ``shifts`` are taken out while frames are read: by lamp.  Flats and dark frame belong to the
+    sensor and stay.
 
     Raises
     ------
@@ -469,13 +479,21 @@ def darkroom(tile: Tile, scratch: Path, *, flats: bool = False) -> Iterator[Dark
         def opened(path: Path) -> Photograph:
             return stack.enter_context(Photograph(path, tile.encoding, scratch))
 
+        def framed(lamp: str, path: Path) -> Photograph:
+            shift = (shifts or {}).get(lamp)
+            if shift is None or not any(shift[:2]):
+                return opened(path)
+            # One photograph serves one thread, so each has its own dark frame.
+            own = opened(tile.dark) if tile.dark else None
+            return stack.enter_context(ShiftedPhotograph(path, tile.encoding, scratch, own, shift))
+
         mask = Mask(tile.mask) if tile.mask and not flats else None
         if mask is not None:
             mask.require_some()
         yield Darkroom(
             grid=grid_of(tile, info),
             info=info,
-            photographs={lamp: opened(path) for lamp, path in paths.items()},
+            photographs={lamp: framed(lamp, path) for lamp, path in paths.items()},
             paths=paths,
             dark=opened(tile.dark) if tile.dark else None,
             mask=mask,

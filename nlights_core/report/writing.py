@@ -13,6 +13,7 @@ from typing import Any
 
 from nlights_core import __version__
 from nlights_core.agreement.borders import PICTURE, read_proposal
+from nlights_core.agreement.shifts import read_shifts
 from nlights_core.calibration.record import read_calibration, read_uncertainty
 from nlights_core.capture import Tile
 from nlights_core.capture_warnings import CaptureWarning, read_warnings, write_warnings
@@ -29,6 +30,7 @@ from nlights_core.photographs.noise import read_noise
 from nlights_core.products.writing import WHAT, open_maps, white_reflectance
 from nlights_core.report import quality
 from nlights_core.report.agreement_quality import of_agreement
+from nlights_core.report.alignment_quality import of_shifts
 from nlights_core.report.calibration_quality import of_calibration
 from nlights_core.report.figures import NOT_IN_RECIPE, NOT_MEASURED, Number
 from nlights_core.report.flat_quality import of_flat_levels
@@ -105,6 +107,12 @@ def write_report(
         places = [store.root / place for place in records if place != agreement.folder]
         others = [warning for place in places for warning in read_warnings(place)]
         photographs = read_warnings(made["agreement"])
+        if "alignment" in made:
+            shifts = read_shifts(made["alignment"])
+            numbers += of_shifts(shifts)
+            if shifts.believed:
+                # What was taken out is said once, by those who took it out.
+                photographs = [warning for warning in photographs if warning.code != "moved"]
         numbers = quality.grouped(_without_explained(numbers, photographs))
         warnings = _warnings(photographs, others, numbers)
         write_html(folder / "report.html", said, drawing.result(), numbers, warnings)

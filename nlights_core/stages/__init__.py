@@ -6,6 +6,7 @@ puts; an algorithm never sees a file, and a stage never sees Prefect.
 """
 
 from nlights_core.stages.agreement import agreement
+from nlights_core.stages.alignment import alignment
 from nlights_core.stages.bias import bias
 from nlights_core.stages.calibration import calibration
 from nlights_core.stages.flat_field import flat_field
@@ -22,6 +23,7 @@ from nlights_core.stages.trend import trend
 
 __all__ = [
     "agreement",
+    "alignment",
     "bias",
     "calibration",
     "flat_field",

@@ -15,7 +15,7 @@ from nlights_core.near_light.overview import reduced_room
 from nlights_core.photographs.development import Darkroom, darkroom
 from nlights_core.photographs.flat_fields import read_flat_field
 from nlights_core.photographs.noise import Noise, measure_noise_between_lamps, read_noise, write_noise
-from nlights_core.stages.inputs import facts_of_photographs, read_lights, with_mask
+from nlights_core.stages.inputs import facts_of_photographs, read_lights, shifts_of, with_mask
 from nlights_core.store import ArtefactRef, Store, Work, describe
 
 RESTS_ON = ("calibration", "integration", "near_light", "photographs", "solving")
@@ -23,12 +23,18 @@ RESTS_ON = ("calibration", "integration", "near_light", "photographs", "solving"
 
 
 def calibration(
-    store: Store, tile: Tile, lights: ArtefactRef, flat_field: ArtefactRef, groups: tuple[str, ...]
+    store: Store,
+    tile: Tile,
+    lights: ArtefactRef,
+    flat_field: ArtefactRef,
+    groups: tuple[str, ...],
+    alignment: ArtefactRef | None = None,
 ) -> Work:
     """Values that all pixels share, ``calibration.json`` and ``noise.json``; a coarse height and its uncertainty.
 
     See `nlights_core.calibration`.  ``groups`` are what may be believed of the photographs, and "level" where that is
-    sought.  Distant lamps light all heights alike: of them nothing is sought.
+    sought.  Distant lamps light all heights alike: of them nothing is sought.  Shifts that an ``alignment`` found are
+    taken out of the photographs.
     """
     tile = with_mask(store, tile)
     facts = facts_of_photographs(store, tile, "frames") | {"groups": list(groups)}
@@ -36,13 +42,16 @@ def calibration(
     positions = tile.stand.uncertainty_mm if tile.stand else None
     facts["positions_mm"] = positions
     inputs = {"lights": lights, "flat_field": flat_field}
+    if alignment:
+        inputs["alignment"] = alignment
     ref, record = describe(
         "calibration", tile.artwork, tile.name, rests_on=RESTS_ON, inputs=inputs, facts=facts
     )
 
     def make(folder: Path, progress: Progress) -> None:
         field, divisor = read_lights(store, lights), read_flat_field(store.path(flat_field))
-        with store.scratch() as scratch, darkroom(tile, scratch) as room:
+        shifts = shifts_of(store, alignment)
+        with store.scratch() as scratch, darkroom(tile, scratch, shifts=shifts) as room:
             room.noise, noisier = _noise(tile, room, read_noise(store.path(flat_field)))
             write_noise(folder, room.noise)
             grid = room.grid

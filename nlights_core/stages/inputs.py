@@ -11,6 +11,7 @@ from nlights_core.errors import TileError
 from nlights_core.fields import LightField
 from nlights_core.machine.band_threads import in_order
 from nlights_core.photographs.headers import survey
+from nlights_core.photographs.shifted import Shift, shifts_by_lamp
 from nlights_core.store import ArtefactRef, Store
 
 FLATS = "_flats"
@@ -76,3 +77,10 @@ def read_lights(store: Store, ref: ArtefactRef) -> LightField:
 def write_json(path: Path, value: Any) -> None:
     """Write a small JSON file."""
     path.write_text(json.dumps(value, indent=1) + "\n", encoding="utf-8")
+
+
+def shifts_of(store: Store, alignment: ArtefactRef | None) -> dict[str, Shift]:
+    """Shifts to take out of photographs, by lamp; none where nobody asked."""
+    if alignment is None:
+        return {}
+    return shifts_by_lamp(store.path(alignment))

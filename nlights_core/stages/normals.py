@@ -27,7 +27,7 @@ from nlights_core.photographs.noise import read_noise
 from nlights_core.photographs.strips import Blocks, Optics, Strip
 from nlights_core.solving import band_solving
 from nlights_core.solving.correction import Correction
-from nlights_core.stages.inputs import facts_of_photographs, read_lights, with_mask
+from nlights_core.stages.inputs import facts_of_photographs, read_lights, shifts_of, with_mask
 from nlights_core.store import ArtefactRef, Store, Work, describe
 
 RESTS_ON = ("calibration", "integration", "near_light", "photographs", "solving")
@@ -43,17 +43,20 @@ def normals(
     bias: ArtefactRef | None = None,
     height: ArtefactRef | None = None,
     photographed: bool = False,
+    alignment: ArtefactRef | None = None,
 ) -> Work:
     """Normals and what is solved with them; the files are listed in `nlights_core.solving.band_solving`.
 
     ``height`` is the `overview` or the `calibration`, where there is one; what the latter found is taken out of the
     photographs, and their noise is what it says.  ``photographed``: the flat field is, so that it
-    makes the albedo absolute.
+    makes the albedo absolute.  Shifts that an ``alignment`` found are taken out of the photographs.
     """
     tile = with_mask(store, tile)
     facts = facts_of_photographs(store, tile, "frames")
     white = facts["white_reflectance"] = tile.white_reflectance if photographed else None
     inputs = {"lights": lights, "flat_field": flat_field, "bias": bias, "height": height}
+    if alignment:
+        inputs["alignment"] = alignment
     ref, record = describe(
         "normals", tile.artwork, tile.name, rests_on=RESTS_ON, algorithm=solver, inputs=inputs, facts=facts
     )
@@ -66,7 +69,8 @@ def normals(
             shape = grid_of(tile, survey(tile)).shape
             before = Enlarged(read_array(store.path(height) / "height.npy"), block_edge(shape[1]), shape)
         removed = read_array(store.path(bias) / "bias.npy") if bias else None
-        with store.scratch() as scratch, darkroom(tile, scratch) as room:
+        shifts = shifts_of(store, alignment)
+        with store.scratch() as scratch, darkroom(tile, scratch, shifts=shifts) as room:
             if flat_field:
                 known = height and read_noise(store.path(height))
                 room.noise = known or read_noise(store.path(flat_field)) or room.noise

@@ -41,6 +41,7 @@ def report(
     maps: ArtefactRef,
     mesh: ArtefactRef,
     calibration: ArtefactRef | None = None,
+    alignment: ArtefactRef | None = None,
 ) -> Work:
     """Products for people: ``report.html``, ``quality.json``, ``warnings.json``, ``provenance.json``."""
     tile = with_mask(store, tile)
@@ -56,6 +57,8 @@ def report(
         "mesh": mesh,
         "calibration": calibration,
     }
+    if alignment:
+        inputs["alignment"] = alignment
     facts = {
         "recipe": recipe,
         "title": tile.title,

@@ -14,6 +14,7 @@ from nlights_core.errors import CaptureError
 from nlights_core.frames import PixelGrid
 from nlights_core.report import quality
 from nlights_core.report.agreement_quality import of_agreement
+from nlights_core.report.alignment_quality import of_shifts
 from nlights_core.report.calibration_quality import of_calibration
 from nlights_core.report.figures import NOT_IN_RECIPE
 from nlights_core.report.flat_quality import of_flat_levels
@@ -108,6 +109,7 @@ def known_numbers() -> dict[str, str]:
         *quality.of_flat(None, None, NOT_IN_RECIPE),
         *of_flat_levels(None, None, None, (), NOT_IN_RECIPE),
         *of_calibration(None, None),
+        *of_shifts(None),
     ]
     # The number of lamps stands in this one's name, so that no limit can mean it.
     return {n.name: n.unit for n in numbers if not n.name.startswith("Pixels with all")}

@@ -48,16 +48,27 @@ def digitise_tile(
     bias = overview = trend = None
     if detrend.normals:
         bias = call(stages.bias, tile, detrend.normals, recipe.normals, lights, flat_field)
-    calibration = None
+    calibration = alignment = None
     if _calibrates(recipe):
         assert recipe.calibration
-        calibration = call(stages.calibration, seen, lights, flat_field, recipe.calibration.groups())
+        if recipe.calibration.align:
+            alignment = call(stages.alignment, seen, lights, agreement)
+        groups = recipe.calibration.groups()
+        calibration = call(stages.calibration, seen, lights, flat_field, groups, alignment)
     elif recipe.passes > 1:
         overview = call(stages.overview, seen, lights, flat_field, recipe.passes - 1)
     # Only a photographed flat knows what white is.
     white = detrend.images is not None and "flats" in detrend.images.needs
     normals = call(
-        stages.normals, seen, recipe.normals, lights, flat_field, bias, calibration or overview, white
+        stages.normals,
+        seen,
+        recipe.normals,
+        lights,
+        flat_field,
+        bias,
+        calibration or overview,
+        white,
+        alignment,
     )
     height = integrated = call(stages.height, tile, recipe.integrator, normals)
     if detrend.height:
@@ -84,6 +95,7 @@ def digitise_tile(
         maps,
         mesh,
         calibration,
+        alignment,
     )
     return {"maps": maps, "mesh": mesh, "report": report}
 
@@ -98,9 +110,9 @@ def steps(recipe: Recipe, auto_mask: bool = False) -> int:
     detrend = recipe.detrend
     optional = (detrend.images, detrend.normals, detrend.height)
     calibrates = _calibrates(recipe)
-    return (
-        7 + auto_mask + sum(part is not None for part in optional) + (2 if calibrates else recipe.passes > 1)
-    )
+    aligns = recipe.calibration is not None and recipe.calibration.align
+    beside = 2 + aligns if calibrates else recipe.passes > 1
+    return 7 + auto_mask + sum(part is not None for part in optional) + beside
 
 
 def _calibrates(recipe: Recipe) -> bool:

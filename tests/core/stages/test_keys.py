@@ -94,6 +94,8 @@ TWO_PASSES = load_recipe(
 )
 """What has an overview in place of a calibration."""
 
+ALIGNED = load_recipe({**load_recipe("default").record(), "name": "aligned", "calibration": {"align": True}})
+
 
 @pytest.fixture
 def keys(capture, tmp_path, monkeypatch):
@@ -113,6 +115,7 @@ def keys(capture, tmp_path, monkeypatch):
             ("", default, tile),
             ("", paper, tile),
             ("", TWO_PASSES, tile),
+            ("", ALIGNED, tile),
             ("auto-", default, unmasked),
         ):
             steps = planning.plan(one, recipe, Store(tmp_path / "store"))
