@@ -10,7 +10,8 @@ import numpy as np
 from nlights_core.frames import Array
 from nlights_core.machine.band_threads import in_order
 from nlights_core.machine.kernel_switch import available
-from nlights_core.photographs.development import Darkroom, Exposure
+from nlights_core.photographs.development import Darkroom
+from nlights_core.photographs.exposures import Exposure
 from nlights_core.photographs.images import Photograph, grey, is_saturated
 from nlights_core.photographs.masks import Mask
 

@@ -19,7 +19,8 @@ from nlights_core.capture_warnings import CaptureWarning, read_warnings
 from nlights_core.errors import NlightsError, TileError
 from nlights_core.fields import LightField
 from nlights_core.integration.known_heights import read_known_heights
-from nlights_core.photographs.development import Darkroom, Exposure, bands_of_grid, darkroom
+from nlights_core.photographs.development import Darkroom, bands_of_grid, darkroom
+from nlights_core.photographs.exposures import Exposure
 from nlights_core.photographs.headers import grid_of, survey
 from nlights_core.photographs.images import Photograph, probe
 from nlights_core.photographs.masks import mask_size
