@@ -249,7 +249,7 @@ def _clearest(
 
 
 def _seen_beside_steps(levels: Sequence[Sequence[Detail]], around: Surroundings, moves: Moves) -> Moves:
-    """The movements that tiles clear of steps rather show than not; all, where these are too few."""
+    """Keep the movements that tiles clear of steps rather show than not; all, where these are too few."""
     there = join(_clearest(levels, around, moves.pixels, False))
     if there.clear.all() or np.count_nonzero(there.clear) < TILES:
         return moves
@@ -265,7 +265,7 @@ def _seen_beside_steps(levels: Sequence[Sequence[Detail]], around: Surroundings,
 
 
 def _pull(structure: FineStructure, lamp: int) -> Array:
-    """Which way some tiles pull a lamp's photograph, (2,): the slope of what is left unexplained."""
+    """Direction in which some tiles pull a lamp's photograph, (2,): the slope of what is left unexplained."""
     count = structure.powers.shape[1]
     return np.asarray(-structure.products[:, [count + lamp, 2 * count + lamp], :count].sum(axis=(0, 2)))
 
