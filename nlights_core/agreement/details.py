@@ -98,6 +98,7 @@ class Surroundings:
         """Lamps of which no shadow is cast on a part of the photographs, px; (L,) bool."""
         edge = self.samples.block * self.relative.patch
         shaded = self.relative.shaded
+        top, left = max(top, 0), max(left, 0)
         rows = slice(int(top // edge), max(int(-(-bottom // edge)), int(top // edge) + 1))
         columns = slice(int(left // edge), max(int(-(-right // edge)), int(left // edge) + 1))
         return np.asarray(~shaded[:, rows, columns].any(axis=(1, 2)))

@@ -29,6 +29,9 @@ are cast, small tiles between them are left."""
 TINY = 1e-30
 """What keeps a share of nothing from dividing by zero."""
 
+NEAR = 20
+"""How far from every shadow that is seen a tile is clear of the steep step that casts it, px."""
+
 UNKNOWN = 0.3
 """A lamp of whose tile more than this share is not known is left out there."""
 
@@ -51,6 +54,8 @@ class FineStructure:
         Row and column of each tile's middle, px.
     sizes : (T,) float array
         Samples of each tile.
+    clear : (T,) bool array
+        Whether no shadow is seen on the tile, nor within ``NEAR`` of it.
     """
 
     products: Array
@@ -58,6 +63,7 @@ class FineStructure:
     freedom: Array
     places: Array
     sizes: Array
+    clear: Array
 
     @cached_property
     def quarters(self) -> Array:
@@ -141,7 +147,7 @@ def _of_detail(detail: Detail, around: Surroundings, moves: Array) -> FineStruct
     if min(rows, columns) < 4:
         empty = np.zeros((0, 3 * count, 3 * count))
         powers = empty[:, :count, :count]
-        return FineStructure(empty, powers, powers, np.zeros((0, 2)), np.zeros(0))
+        return FineStructure(empty, powers, powers, np.zeros((0, 2)), np.zeros(0), np.zeros(0, bool))
     edge = max(EDGE // detail.scale, LEAST_EDGE)
     edge = edge if min(rows, columns) >= 3 * edge else max(4, min(rows, columns) // 3)
     down, across = rows // edge, columns // edge
@@ -167,6 +173,9 @@ def _of_detail(detail: Detail, around: Surroundings, moves: Array) -> FineStruct
     half_y, half_x = high * detail.scale / 2, wide * detail.scale / 2
     lit = [around.lit(b - half_y, b + half_y, a - half_x, a + half_x) for b, a in zip(y, x, strict=True)]
     included &= np.stack(lit)
+    wide_y, wide_x = half_y + NEAR, half_x + NEAR
+    near = [around.lit(b - wide_y, b + wide_y, a - wide_x, a + wide_x) for b, a in zip(y, x, strict=True)]
+    clear = np.all(near, axis=1)
     some = np.flatnonzero((included.sum(axis=1) >= FEWEST) & tiles.any(axis=(1, 2, 3)))
     flat = tiles[some].reshape(len(some), 3 * count, high * wide)
     grams = (flat @ flat.swapaxes(1, 2)).astype(float)
@@ -177,7 +186,7 @@ def _of_detail(detail: Detail, around: Surroundings, moves: Array) -> FineStruct
     places = np.stack([y[some], x[some]], axis=1)
     sizes = np.full(len(tiles), float(high * wide)) if known is None else usable.sum(axis=1).astype(float)
     products = grams * np.tile(freedom, (1, 3, 3))
-    return FineStructure(products, grams[:, :count, :count], freedom, places, sizes[some])
+    return FineStructure(products, grams[:, :count, :count], freedom, places, sizes[some], clear[some])
 
 
 def brought_back(detail: Detail, moves: Array) -> Detail:

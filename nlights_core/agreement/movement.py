@@ -74,7 +74,7 @@ MATT = 0.6
 """What is left unexplained without gloss, as a share of what is left with it, from which on it is taken out.
 Varnished paintings reach 0.1 to 0.5; noise that is cut off on its bright side leaves 0.8."""
 
-Known = dict[tuple[int, bytes], tuple[FineStructure, FineStructure]]
+Known = dict[tuple[int, bytes], tuple[FineStructure, dict[bool, FineStructure]]]
 
 
 @dataclass(frozen=True)
@@ -97,16 +97,22 @@ class Moves:
 
 
 def weighed_structure(
-    levels: Sequence[Sequence[Detail]], around: Surroundings, moves: Array, known: Known
+    levels: Sequence[Sequence[Detail]], around: Surroundings, moves: Array, known: Known, clear: bool = False
 ) -> FineStructure:
-    """Fine structure of details of several sizes, per pixel of movement, each by what it knows of the movement."""
+    """Fine structure of details of several sizes, per pixel of movement, each by what it knows of the movement.
+
+    ``clear``: of tiles clear of steps alone.
+    """
     parts = []
     for details in levels:
         key = (details[0].scale, moves.tobytes())
         if key not in known:
             found = fine_structure(details, around, moves)
-            known[key] = found, _per_pixel(found, details[0].scale)
-        parts.append(known[key][1])
+            known[key] = found, {}
+        found, chosen = known[key]
+        if clear not in chosen:
+            chosen[clear] = _per_pixel(found.part(found.clear) if clear else found, details[0].scale)
+        parts.append(chosen[clear])
     return join(parts)
 
 
@@ -162,13 +168,36 @@ def find_moves(levels: Sequence[Sequence[Detail]], around: Surroundings) -> tupl
     FineStructure
         The finest, brought back.
     """
-    moves = Moves(np.zeros((len(around.relative.lamps), 2)), False)
     known: Known = {}
+    still = np.zeros((len(around.relative.lamps), 2))
+    finest = _finest(levels, around, still, known)
+    moves = Moves(still, False)
+    if not finest.clear.all():
+        # A shadow that is too thin to be seen lies beside steps that cast wider ones under other lamps.
+        moves = _moves(levels, around, known, True)
+    if not moves.pixels.any():
+        moves = _moves(levels, around, known, False)
+        if moves.pixels.any():
+            moves = _seen_beside_steps(levels, around, moves)
+    return moves, _finest(levels, around, moves.pixels, known)
+
+
+def _finest(
+    levels: Sequence[Sequence[Detail]], around: Surroundings, moves: Array, known: Known
+) -> FineStructure:
+    """Fine structure of the finest details, brought back."""
+    weighed_structure(levels[:1], around, moves, known, False)
+    return known[levels[0][0].scale, moves.tobytes()][0]
+
+
+def _moves(levels: Sequence[Sequence[Detail]], around: Surroundings, known: Known, clear: bool) -> Moves:
+    """Movements that all tiles show, or only those clear of steps."""
+    moves = Moves(np.zeros((len(around.relative.lamps), 2)), False)
     for level in reversed(range(len(levels))):
         scale = levels[level][0].scale
         least = FOLLOWED * scale if level else LEAST
         for _ in range(ROUNDS):
-            structure = weighed_structure(levels[level:], around, moves.pixels, known)
+            structure = weighed_structure(levels[level:], around, moves.pixels, known, clear)
             before = moves.pixels
             if np.count_nonzero(structure.left() > 0) < (FEW_TILES if level else TILES):
                 moves = Moves(np.zeros_like(before), False)
@@ -177,23 +206,23 @@ def find_moves(levels: Sequence[Sequence[Detail]], around: Surroundings) -> tupl
             if np.abs(moves.pixels - before).max() < SETTLED * scale:
                 break
     still = np.zeros_like(moves.pixels)
-    if moves.pixels.any():
-        pairs = (
-            [fine_structure(one, around, way).share() for way in (moves.pixels, still)] for one in levels[:3]
-        )
-        if all(brought > BETTER * left for brought, left in pairs):
-            return Moves(still, False), fine_structure(levels[0], around, still)
-        moves = _refine(levels, around, moves)
-    found = known.get((levels[0][0].scale, moves.pixels.tobytes()))
-    return moves, found[0] if found else fine_structure(levels[0], around, moves.pixels)
+    if not moves.pixels.any():
+        return moves
+    for details in levels[:3]:
+        brought, left = (fine_structure(details, around, way) for way in (moves.pixels, still))
+        if clear:
+            brought, left = brought.part(brought.clear), left.part(left.clear)
+        if brought.share() <= BETTER * left.share():
+            return _refine(levels, around, moves, clear)
+    return Moves(still, False)
 
 
-def _refine(levels: Sequence[Sequence[Detail]], around: Surroundings, moves: Moves) -> Moves:
+def _refine(levels: Sequence[Sequence[Detail]], around: Surroundings, moves: Moves, clear: bool) -> Moves:
     """The same movements, measured without gloss where that can be told, and by how much parts disagree on them."""
     lamps = np.flatnonzero(moves.pixels.any(axis=1)).tolist()
     pixels = moves.pixels
     for _ in range(ROUNDS):
-        parts = clearest_structures(levels, around, pixels)
+        parts = clearest_structures(levels, around, pixels, clear)
         structure, before = join(parts), pixels
         if not len(structure.sizes):
             break
@@ -205,7 +234,7 @@ def _refine(levels: Sequence[Sequence[Detail]], around: Surroundings, moves: Mov
 
 
 def clearest_structures(
-    levels: Sequence[Sequence[Detail]], around: Surroundings, moves: Array
+    levels: Sequence[Sequence[Detail]], around: Surroundings, moves: Array, clear: bool = False
 ) -> list[FineStructure]:
     """Fine structures of all sizes, brought back, without gloss where it is much of what is unexplained."""
     still = np.zeros_like(moves)
@@ -215,9 +244,33 @@ def clearest_structures(
     for _ in levels:
         matt.append(fine_structure(cleaned, around, still))
         cleaned = [one.halved() for one in cleaned]
+    if clear:
+        glossy, matt = ([one.part(one.clear) for one in some] for some in (glossy, matt))
     shares = [(a.share(), b.share()) for a, b in zip(glossy, matt, strict=True) if a.share() < NOISY]
     chosen = matt if shares and shares[0][1] < MATT * shares[0][0] else glossy
     return [_per_pixel(one, details[0].scale) for one, details in zip(chosen, levels, strict=True)]
+
+
+def _seen_beside_steps(levels: Sequence[Sequence[Detail]], around: Surroundings, moves: Moves) -> Moves:
+    """Keep the movements that tiles clear of steps rather show than not; all, where these are too few."""
+    there = join(clearest_structures(levels, around, moves.pixels, False))
+    if there.clear.all() or np.count_nonzero(there.clear) < TILES:
+        return moves
+    kept = moves.pixels.copy()
+    for lamp in np.flatnonzero(moves.pixels.any(axis=1)):
+        moved, still = moves.pixels[lamp], moves.pixels.copy()
+        still[lamp] = 0
+        here = join(clearest_structures(levels, around, still, False))
+        # Noise lengthens gradients, so a step would come out short; which way each place pulls stays right.
+        if sum(_pull(one.part(one.clear), int(lamp)) @ moved for one in (here, there)) <= 0:
+            kept[lamp] = 0
+    return replace(moves, pixels=kept, measured=tuple(k for k in moves.measured if kept[k].any()))
+
+
+def _pull(structure: FineStructure, lamp: int) -> Array:
+    """Direction in which some tiles pull a lamp's photograph, (2,): the slope of what is left unexplained."""
+    count = structure.powers.shape[1]
+    return np.asarray(-structure.products[:, [count + lamp, 2 * count + lamp], :count].sum(axis=(0, 2)))
 
 
 def _agree(sizes: Sequence[FineStructure], whole: FineStructure, lamp: int) -> bool:
