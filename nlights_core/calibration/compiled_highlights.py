@@ -1,6 +1,6 @@
-"""Compiled highlights over a part of a block: what samples read beyond matt paint, and its slopes.
+"""Compiled highlights over a block of pixels: what samples read beyond matt paint, and its slopes.
 
-What `nlights_core.calibration.reflectance` says of arrays, for `PART` pixels at a time: one lobe after another, the
+What `nlights_core.calibration.reflectance` says of arrays, for a block at a time: one lobe after another, the
 loop over the pixels inside, so that the compiler makes vector instructions of it (`nlights_core.photographs.blocks`).
 `nlights_core.calibration.compiled_reflectance` says it of one sample in double precision, for a calibration.
 """
@@ -14,33 +14,30 @@ import numpy as np
 
 from nlights_core.calibration.compiled_reflectance import BECKMANN, FAINT, GGX
 from nlights_core.frames import Array
-from nlights_core.photographs.blocks import ONE, TINY, ZERO, inner
+from nlights_core.photographs.blocks import BLOCK, ONE, TINY, ZERO, inner
 from nlights_core.photographs.compiled_development import power_of_two
 
-PART = 32
-"""Pixels that are worked on together: all wait for the slowest of them."""
-
-# Of the pixels of a part, in an array (FACE,): unit vector to the camera; scaled normal; unit normal, length of the
+# Of the pixels of a block, in an array (FACE,): unit vector to the camera; scaled normal; unit normal, length of the
 # scaled one, cosine between normal and view.
-VIEW, SCALED, NORMAL = 0, 3 * PART, 6 * PART
-LENGTH, SEEN, FACE = range(9 * PART, 12 * PART, PART)
+VIEW, SCALED, NORMAL = 0, 3 * BLOCK, 6 * BLOCK
+LENGTH, SEEN, FACE = range(9 * BLOCK, 12 * BLOCK, BLOCK)
 
-# Of one lobe and the pixels of a part, in an array (HIDDEN,): the share that is not masked towards the camera, over
+# Of one lobe and the pixels of a block, in an array (HIDDEN,): the share that is not masked towards the camera, over
 # the cosine of that; its derivative by the cosine, as a share of it.
-OPEN, STEEPER, HIDDEN = range(0, 3 * PART, PART)
+OPEN, STEEPER, HIDDEN = range(0, 3 * BLOCK, BLOCK)
 
 # Of a sample, in an array (RAY,): its weight; light as a unit vector, half vector, cosine between light and view,
 # strength of the departure, and that of a mirror; and of the last evaluation what lobes read and its slopes by the
 # normal.
-WEIGHT, LIGHT, HALF = 0, PART, 4 * PART
-WITH_VIEW, ROUGH, MIRROR, SHINE = range(7 * PART, 11 * PART, PART)
-SLOPE, RAY = 11 * PART, 14 * PART
+WEIGHT, LIGHT, HALF = 0, BLOCK, 4 * BLOCK
+WITH_VIEW, ROUGH, MIRROR, SHINE = range(7 * BLOCK, 11 * BLOCK, BLOCK)
+SLOPE, RAY = 11 * BLOCK, 14 * BLOCK
 
 # Of the sample under evaluation, in an array (GLANCE,): strength of a mirror, 0 where the surface faces away; cosine
 # to the light; cosine to the half vector, and square of its sine; one over the cosine to the half vector, and over
 # the sine to the light; then sums over the lobes, and their derivatives by the cosines to half vector, light, view.
-_GATE, LIT, _UPRIGHT, _SQUARE, _PER_UPRIGHT, _PER_SINE = range(0, 6 * PART, PART)
-TOTAL, TO_HALF, TO_LIGHT, TO_VIEW, GLANCE = range(6 * PART, 11 * PART, PART)
+_GATE, LIT, _UPRIGHT, _SQUARE, _PER_UPRIGHT, _PER_SINE = range(0, 6 * BLOCK, BLOCK)
+TOTAL, TO_HALF, TO_LIGHT, TO_VIEW, GLANCE = range(6 * BLOCK, 11 * BLOCK, BLOCK)
 
 _TWO, _FOUR, _HALF, _QUARTER = np.float32(2), np.float32(4), np.float32(0.5), np.float32(0.25)
 _PER_LN2 = np.float32(1 / np.log(2))
@@ -68,14 +65,14 @@ def _logarithm(x: Any) -> Any:
 @inner
 def turn_faces(of: Array) -> None:
     """Fill in `NORMAL`, `LENGTH` and `SEEN` of the scaled normals."""
-    for p in range(PART):
-        x, y, z = of[SCALED + p], of[SCALED + PART + p], of[SCALED + 2 * PART + p]
+    for p in range(BLOCK):
+        x, y, z = of[SCALED + p], of[SCALED + BLOCK + p], of[SCALED + 2 * BLOCK + p]
         length = np.sqrt(x * x + y * y + z * z)
         per_length = ONE / length
         x, y, z = x * per_length, y * per_length, z * per_length
-        of[NORMAL + p], of[NORMAL + PART + p], of[NORMAL + 2 * PART + p] = x, y, z
+        of[NORMAL + p], of[NORMAL + BLOCK + p], of[NORMAL + 2 * BLOCK + p] = x, y, z
         of[LENGTH + p] = length
-        of[SEEN + p] = x * of[VIEW + p] + y * of[VIEW + PART + p] + z * of[VIEW + 2 * PART + p]
+        of[SEEN + p] = x * of[VIEW + p] + y * of[VIEW + BLOCK + p] + z * of[VIEW + 2 * BLOCK + p]
 
 
 @inner
@@ -86,21 +83,21 @@ def hide_facets(of: Array, alphas: Array, kinds: Array, hidden: Array) -> None:
         square = alpha * alpha
         rest, per_alpha = ONE - square, ONE / alpha
         if kinds[i] == GGX:
-            for p in range(PART):
+            for p in range(BLOCK):
                 seen = of[SEEN + p] if of[SEEN + p] > ZERO else ONE
                 root = np.sqrt(square + rest * seen * seen)
                 per_sum = ONE / (seen + root)
                 own[OPEN + p] = _TWO * per_sum
                 own[STEEPER + p] = -(ONE + rest * seen / root) * per_sum
         elif kinds[i] == BECKMANN:
-            for p in range(PART):
+            for p in range(BLOCK):
                 seen = of[SEEN + p] if of[SEEN + p] > ZERO else ONE
                 per_sine = ONE / np.sqrt(max(ONE - seen * seen, _FLATTEST))
                 through, by_cosine = _unmasked(seen, per_sine, per_alpha)
                 own[OPEN + p] = through / seen
                 own[STEEPER + p] = (by_cosine - ONE) / seen
         else:
-            for p in range(PART):
+            for p in range(BLOCK):
                 own[OPEN + p], own[STEEPER + p] = ONE, ZERO
 
 
@@ -118,11 +115,11 @@ def _unmasked(cosine: Any, per_sine: Any, per_alpha: Any) -> Any:
 @inner
 def glance(of: Array, ray: Array, own: Array) -> None:
     """Fill in the cosines of a sample, and empty its sums."""
-    for p in range(PART):
-        x, y, z = of[NORMAL + p], of[NORMAL + PART + p], of[NORMAL + 2 * PART + p]
-        lit = x * ray[LIGHT + p] + y * ray[LIGHT + PART + p] + z * ray[LIGHT + 2 * PART + p]
+    for p in range(BLOCK):
+        x, y, z = of[NORMAL + p], of[NORMAL + BLOCK + p], of[NORMAL + 2 * BLOCK + p]
+        lit = x * ray[LIGHT + p] + y * ray[LIGHT + BLOCK + p] + z * ray[LIGHT + 2 * BLOCK + p]
         # The sine from the difference of normal and half vector: near the peak 1 - cosine^2 has no digits left.
-        x, y, z = x - ray[HALF + p], y - ray[HALF + PART + p], z - ray[HALF + 2 * PART + p]
+        x, y, z = x - ray[HALF + p], y - ray[HALF + BLOCK + p], z - ray[HALF + 2 * BLOCK + p]
         apart = x * x + y * y + z * z
         faces = (lit > ZERO) & (of[SEEN + p] > ZERO)
         lit = lit if faces else ONE
@@ -155,7 +152,7 @@ def add_lobes(gloss: Array, alphas: Array, kinds: Array, hidden: Array, own: Arr
                 ONE - power_of_two(max(-_PER_LN2 * reach / (ONE - square), _FAINT)) if square < ONE else ONE
             )
         some = 0
-        for p in range(PART):
+        for p in range(BLOCK):
             some += 1 if own[_SQUARE + p] < reach else 0
         if some and kinds[i] == BECKMANN:
             _add_beckmann(gloss[i], alphas[i], reach, hidden[i], own)
@@ -167,7 +164,7 @@ def add_lobes(gloss: Array, alphas: Array, kinds: Array, hidden: Array, own: Arr
 def _add_ggx(gloss: Any, square: Any, hidden: Array, own: Array) -> None:
     rest = ONE - square
     strength = _TWO * gloss * square
-    for p in range(PART):
+    for p in range(BLOCK):
         lit = own[LIT + p]
         wide = square + rest * own[_SQUARE + p]
         root = np.sqrt(square + rest * lit * lit)
@@ -187,7 +184,7 @@ def _add_beckmann(gloss: Any, alpha: Any, reach: Any, hidden: Array, own: Array)
     per_alpha = ONE / alpha
     per_square = per_alpha * per_alpha
     strength = gloss * per_square
-    for p in range(PART):
+    for p in range(BLOCK):
         lit, square = own[LIT + p], own[_SQUARE + p]
         per_flat = own[_PER_UPRIGHT + p] * own[_PER_UPRIGHT + p]
         bent = power_of_two(max(-square * per_flat * per_square * _PER_LN2, _FAINT))
@@ -204,7 +201,7 @@ def _add_beckmann(gloss: Any, alpha: Any, reach: Any, hidden: Array, own: Array)
 def _add_blinn(gloss: Any, square: Any, reach: Any, own: Array) -> None:
     power = ONE / square - ONE
     strength = gloss / square
-    for p in range(PART):
+    for p in range(BLOCK):
         exponent = power * _logarithm(max(ONE - own[_SQUARE + p], TINY))
         even = strength * own[_GATE + p] * power_of_two(max(exponent, _FAINT))
         even = even if own[_SQUARE + p] < reach else ZERO
