@@ -314,7 +314,7 @@ def _bilinear(cell: Array, at: int, right: Any, down: Any) -> Any:
 
 
 @numba.njit(inline="always")
-def _power_of_two(exponent: Any) -> Any:
+def power_of_two(exponent: Any) -> Any:
     """2^exponent: the whole part goes into the exponent of the number, the rest into a series."""
     # The sum has no place for a fraction: it is rounded, and its lowest bits are the whole part.
     shifted = np.float32(exponent + _WHOLE)
@@ -331,9 +331,9 @@ def _divide(lamp: Array, most: np.float32, of: Array, sample: Array, colours: Ar
     red_share, green_share, blue_share = lamp[1]
     red_noise, green_noise, blue_noise = lamp[2]
     for p in range(BLOCK):
-        red = _power_of_two(of[INVERSE + p] + of[_LENS + p])
-        green = _power_of_two(of[INVERSE + BLOCK + p] + of[_LENS + p])
-        blue = _power_of_two(of[INVERSE + 2 * BLOCK + p] + of[_LENS + p])
+        red = power_of_two(of[INVERSE + p] + of[_LENS + p])
+        green = power_of_two(of[INVERSE + BLOCK + p] + of[_LENS + p])
+        blue = power_of_two(of[INVERSE + 2 * BLOCK + p] + of[_LENS + p])
         variance = red_noise * red + green_noise * green + blue_noise * blue
         known = max(red, max(green, blue)) < most
         # Between here and `_weigh`, `USABLE` is the variance by photons.
