@@ -40,6 +40,8 @@ class PixelGrid:
         Centre of projection in the plane frame, mm.  None: an orthographic camera.
     unit : {"mm", "px"}
         What lengths on this grid are measured in.
+    centre : tuple of 2 floats
+        x and y of the grid's centre, mm: 0 for a photograph, but not for blocks of its pixels that leave a rest.
     """
 
     rows: int
@@ -47,6 +49,7 @@ class PixelGrid:
     pixel_size: float
     camera: tuple[float, float, float] | None = None
     unit: Literal["mm", "px"] = "mm"
+    centre: tuple[float, float] = (0.0, 0.0)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -55,32 +58,28 @@ class PixelGrid:
 
     def x(self) -> Array:
         """x of every column where its ray meets the plane, (columns,) float64, mm."""
-        return (np.arange(self.columns) - (self.columns - 1) / 2) * self.pixel_size
+        return self.centre[0] + (np.arange(self.columns) - (self.columns - 1) / 2) * self.pixel_size
 
     def y(self, start: int = 0, stop: int | None = None) -> Array:
         """y of rows ``start`` to ``stop`` where their rays meet the plane, float64, mm."""
         rows = np.arange(start, self.rows if stop is None else stop)
-        return ((self.rows - 1) / 2 - rows) * self.pixel_size
+        return self.centre[1] + ((self.rows - 1) / 2 - rows) * self.pixel_size
 
-    def reduced(self, factor: int) -> PixelGrid:
-        """The grid of block means of ``factor`` x ``factor`` pixels; a remainder is cut.
+    def reduced(self, factor: int, whole: bool = True) -> PixelGrid:
+        """The grid of blocks of ``factor`` x ``factor`` pixels, from the first row and column on.
 
-        The centre of the reduced grid differs from this one's by under half a block when
-        rows or columns are no multiple of ``factor``; use `block_centres` where that matters.
+        Parameters
+        ----------
+        factor : int
+            Edge of a block, px.
+        whole : bool
+            Whether rows and columns that fill no block are left out; else the last blocks lie in part beside
+            the photograph.
         """
-        return PixelGrid(
-            self.rows // factor,
-            self.columns // factor,
-            self.pixel_size * factor,
-            self.camera,
-            self.unit,
-        )
-
-    def block_centres(self, factor: int) -> tuple[Array, Array]:
-        """x (columns // factor,) and y (rows // factor,) of the centres of pixel blocks, mm."""
-        columns = self.x()[: self.columns // factor * factor].reshape(-1, factor)
-        rows = self.y()[: self.rows // factor * factor].reshape(-1, factor)
-        return columns.mean(axis=1), rows.mean(axis=1)
+        rows, columns = (size // factor if whole else -(-size // factor) for size in self.shape)
+        right, down = (columns * factor - self.columns) / 2, (rows * factor - self.rows) / 2
+        centre = self.centre[0] + right * self.pixel_size, self.centre[1] - down * self.pixel_size
+        return PixelGrid(rows, columns, self.pixel_size * factor, self.camera, self.unit, centre)
 
     def points(self, start: int, stop: int, height: Array | None = None) -> Array:
         """Points of the surface seen by the pixels of a band of rows.

@@ -11,7 +11,7 @@ import numpy as np
 
 from nlights_core.capture import Tile
 from nlights_core.frames import Array, PixelGrid
-from nlights_core.photographs.block_means import BlockMeans, average_blocks
+from nlights_core.photographs.block_means import BlockMeans, average_blocks, middle_lines
 from nlights_core.photographs.development import darkroom
 from nlights_core.photographs.images import Photograph, grey
 
@@ -126,14 +126,13 @@ def sample_photographs(
     if with_flats:
         with darkroom(tile, scratch, flats=True) as room:
             small = average_blocks(room, block, ROWS, lambda done: progress(0.5 + 0.5 * done))
-    rows, columns = frames.inside.shape
     return Samples(
         lamps=tile.lamps,
         frames=_known(frames),
         flats=None if small is None else _known(small),
         dark=dark,
         inside=frames.inside,
-        grid=PixelGrid(rows, columns, grid.pixel_size * block, grid.camera, grid.unit),
+        grid=grid.reduced(block),
         block=block,
         step=step,
         rows=Rows(
@@ -165,10 +164,10 @@ def _reduced_dark(dark: Photograph | None, block: int, shape: tuple[int, int]) -
     """The dark frame as means over some rows of each block."""
     if dark is None:
         return None
-    lines = min(ROWS, block)
+    middle = middle_lines(block, ROWS)
     found = np.empty(shape, np.float32)
     for row in range(shape[0]):
-        first = row * block + (block - lines) // 2
-        light = grey(dark.band(first, first + lines)[:, : shape[1] * block])
+        first, last = row * block + middle.start, row * block + middle.stop
+        light = grey(dark.band(first, last)[:, : shape[1] * block])
         found[row] = light.mean(axis=0).reshape(shape[1], block).mean(axis=1)
     return found

@@ -219,7 +219,7 @@ def residual_spread(residuals: Array, precisions: Array) -> float:
 
 def coarse_grid(grid: PixelGrid) -> PixelGrid:
     """The grid of blocks of `CELL` pixels, the last ones in part beside the field."""
-    return PixelGrid(-(-grid.rows // CELL), -(-grid.columns // CELL), grid.pixel_size * CELL)
+    return grid.reduced(CELL, whole=False)
 
 
 def _on_blocks(grid: PixelGrid, pixels: Pixels, values: Array, usable: Array) -> Array:

@@ -167,7 +167,8 @@ def within_flat(grid: PixelGrid, lights: LightField, points: Array, beyond: floa
     """
     x, y = np.moveaxis(lights.plane_points(points), 1, 0)
     across, up = half_field(grid, beyond)
-    return np.asarray((np.abs(x) <= across) & (np.abs(y) <= up))
+    right, above = grid.centre
+    return np.asarray((np.abs(x - right) <= across) & (np.abs(y - above) <= up))
 
 
 def half_field(grid: PixelGrid, beyond: float) -> tuple[float, float]:

@@ -201,8 +201,8 @@ def heights_at(field: HeightMap, known: KnownHeights) -> tuple[Array, Array]:
 def _between(field: HeightMap, x: Array, y: Array) -> Array:
     """Heights between the four nearest pixels, NaN where one of them is not known or there are none."""
     grid = field.grid
-    columns = np.asarray(x / grid.pixel_size + (grid.columns - 1) / 2)
-    rows = np.asarray((grid.rows - 1) / 2 - y / grid.pixel_size)
+    columns = np.asarray((x - grid.centre[0]) / grid.pixel_size + (grid.columns - 1) / 2)
+    rows = np.asarray((grid.rows - 1) / 2 - (y - grid.centre[1]) / grid.pixel_size)
     out = (np.abs(columns - (grid.columns - 1) / 2) > grid.columns / 2) | (
         np.abs(rows - (grid.rows - 1) / 2) > grid.rows / 2
     )

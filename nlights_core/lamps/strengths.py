@@ -358,7 +358,8 @@ def refine_by_photographs(tile: Tile, field: LightField, prior: float, scratch: 
             room.check()
             images = grey(means.images / field.power.astype(np.float32)[:, None, None, :])
             images[means.saturated | ~means.inside] = np.nan
-            return fit_emission_on_artwork(images, field, *room.grid.block_centres(block))
+            blocks = room.grid.reduced(block)
+            return fit_emission_on_artwork(images, field, blocks.x(), blocks.y())
         every = max(1, int(np.sqrt(room.grid.rows * room.grid.columns / (8 * SAMPLES))))
         samples, vectors = [], []
         for start, stop in bands_of_grid(room.grid, len(field.lamps) * 36):

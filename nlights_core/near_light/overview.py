@@ -16,10 +16,10 @@ import numpy as np
 from nlights_core.algorithms import Solution
 from nlights_core.errors import TileError
 from nlights_core.fields import LightField
-from nlights_core.frames import Array, PixelGrid
+from nlights_core.frames import Array
 from nlights_core.integration.normal_integration import least_squares_height
 from nlights_core.machine.band_threads import in_order
-from nlights_core.photographs.block_means import average_blocks
+from nlights_core.photographs.block_means import average_blocks, middle_lines
 from nlights_core.photographs.development import BAND_BYTES, Darkroom, Raw, bands_of_grid
 from nlights_core.photographs.flat_fields import FlatField
 from nlights_core.photographs.noise import Noise
@@ -86,14 +86,11 @@ def reduced_room(room: Darkroom, progress: Callable[[float], None]) -> ReducedRo
     factor = block_edge(room.grid.columns)
     means = average_blocks(room, factor, ROWS, progress)
     room.check()
-    rows, columns = means.inside.shape
     kept = {f.name: getattr(room, f.name) for f in fields(Darkroom) if f.init and not f.name.startswith("_")}
-    kept |= {
-        "grid": PixelGrid(rows, columns, room.grid.pixel_size * factor, room.grid.camera, room.grid.unit)
-    }
+    kept |= {"grid": room.grid.reduced(factor)}
     kept |= {"mask": None, "exposures": {}}
     small = ReducedRoom(**kept, **means._asdict())
-    count = min(ROWS, factor) * factor
+    count = len(middle_lines(factor, ROWS)) * factor
     small.noise = Noise(room.noise.gain / count, room.noise.readout / count)
     return small
 

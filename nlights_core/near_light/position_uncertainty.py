@@ -103,8 +103,7 @@ def _block_means(normals: Array, grid: PixelGrid) -> tuple[Array, PixelGrid]:
     """Mean normals of blocks (h, w, 3), NaN where less than half is known, and the grid of the blocks."""
     edge = max(1, -(-max(grid.shape) // BLOCKS))
     means = block_means(normals, edge).astype(np.float64)
-    rows, columns = means.shape[:2]
-    return means, PixelGrid(rows, columns, grid.pixel_size * edge, grid.camera)
+    return means, grid.reduced(edge)
 
 
 def _light(lights: LightField, points: Array, photographed: bool) -> Array:

@@ -46,7 +46,7 @@ def average_blocks(
     block : int
         Edge of a block, px; rows and columns of pixels that fill no block are left out.
     rows : int
-        How many rows in the middle of each block are looked at: what is smooth needs no more.
+        About how many rows in the middle of each block are looked at (`middle_lines`).
     progress : callable
         Told the share done.
 
@@ -84,11 +84,24 @@ def average_blocks(
     return BlockMeans(images, shares > 0, inside)
 
 
+def middle_lines(block: int, rows: int) -> range:
+    """Rows of a block that are looked at, at least ``rows`` if there are so many: what is smooth needs no more.
+
+    They lie around the block's very middle: half a pixel beside it, lamps would seem to stand elsewhere.
+
+    >>> middle_lines(23, 4), middle_lines(8, 4), middle_lines(3, 4)
+    (range(9, 14), range(2, 6), range(0, 3))
+    """
+    lines = min(block, rows + (block - rows) % 2)
+    return range((block - lines) // 2, (block + lines) // 2)
+
+
 def _means(
     photograph: Photograph, shape: tuple[int, int], block: int, rows: int, limited: bool
 ) -> tuple[Array, Array]:
     """Mean (h, w, C) and share of saturated pixels (h, w) of a photograph's blocks."""
-    lines = min(rows, block)
+    middle = middle_lines(block, rows)
+    lines = len(middle)
     columns = shape[1] * block
     mean = np.empty((*shape, photograph.info.channels), np.float32)
     share = np.zeros(shape, np.float32)
@@ -99,7 +112,7 @@ def _means(
 
         numbers = np.empty((lines, info.columns, info.channels), info.dtype)
     for row in range(shape[0]):
-        first = row * block + (block - lines) // 2
+        first = row * block + middle.start
         if compiled:
             photograph.numbers(first, first + lines, numbers)
             line_means(numbers, block, *photograph.scale, mean[row], share[row])
@@ -115,11 +128,11 @@ def _means(
 
 def _any_inside(mask: Mask, shape: tuple[int, int], block: int, rows: int) -> Array:
     """Mark where the mask has any pixel of a block, (h, w) bool, in as many rows of it as `_means` looks at."""
-    lines = min(rows, block)
+    middle = middle_lines(block, rows)
     inside = np.empty(shape, bool)
     for row in range(shape[0]):
-        first = row * block + (block - lines) // 2
-        seen = mask.band(first, first + lines)[:, : shape[1] * block].any(axis=0)
+        first, last = row * block + middle.start, row * block + middle.stop
+        seen = mask.band(first, last)[:, : shape[1] * block].any(axis=0)
         inside[row] = seen.reshape(shape[1], block).any(axis=1)
     return inside
 

@@ -60,7 +60,8 @@ def flat_field(store: Store, tile: Tile, detrend: ImageDetrend, lights: Artefact
         info = survey(tile)
         grid = grid_of(tile, info)
         block = block_size(grid)
-        x, y = grid.block_centres(block)
+        blocks = grid.reduced(block)
+        x, y = blocks.x(), blocks.y()
         flats = None
         if "flats" in detrend.needs:
             flats, noise = _read(store, tile, field, block, progress)

@@ -6,8 +6,10 @@ import tifffile
 
 from nlights_core.configurations import load_stand
 from nlights_core.fields import LightField
+from nlights_core.frames import PixelGrid
 from nlights_core.manifest import load_capture
 from nlights_core.near_light.overview import Enlarged, block_edge, reduced_room
+from nlights_core.photographs.block_means import middle_lines
 from nlights_core.photographs.development import darkroom
 from nlights_core.recipe import load_recipe
 from nlights_core.simulation.captures import simulate
@@ -17,9 +19,9 @@ from nlights_core.store import Store
 
 @pytest.fixture(scope="module")
 def relief(tmp_path_factory):
-    """1050 columns: blocks of 2 x 2 pixels, and an odd number of rows that fill no block."""
+    """1051 columns: blocks of 2 x 2 pixels, and one column that fills none."""
     folder = tmp_path_factory.mktemp("relief") / "capture"
-    simulate(folder, load_stand("vertical-dark"), scene="relief", width=1050, seed=3)
+    simulate(folder, load_stand("vertical-dark"), scene="relief", width=1051, seed=3)
     return folder
 
 
@@ -30,13 +32,36 @@ def test_blocks_hold_the_means_of_their_pixels_and_know_saturation(relief, tmp_p
         small = reduced_room(room, lambda _: None)
         unit = LightField(tile.lamps, positions=load_stand("vertical-dark").lamp_positions())
         raw = small.raw(10, 12, unit)
-    assert block_edge(1050) == 2
+    assert block_edge(1051) == 2
     assert small.grid.shape == (tifffile.imread(first).shape[0] // 2, 525)
-    assert small.grid.pixel_size == pytest.approx(2 * 500 / 1050)
+    assert small.grid.pixel_size == pytest.approx(2 * 500 / 1051)
+    # Blocks lie where their pixels do, though one column fills none: lamps would seem to stand elsewhere.
+    np.testing.assert_allclose(small.grid.x(), room.grid.x()[:-1].reshape(-1, 2).mean(axis=1))
     light = tifffile.imread(first)[20:24, :1050] / 65535 - tifffile.imread(tile.dark)[20:24, :1050] / 65535
     expected = light.reshape(2, 2, 525, 2, 3).mean(axis=(1, 3))
     np.testing.assert_allclose(raw.images[0], expected, atol=1e-6)
     assert not raw.saturated.any()
+
+
+@pytest.mark.parametrize("whole", [True, False])
+@pytest.mark.parametrize("factor", [1, 2, 3, 7])
+def test_blocks_lie_where_their_pixels_do(factor, whole):
+    grid = PixelGrid(41, 62, 0.5, camera=(0, 0, 900))
+    small = grid.reduced(factor, whole)
+    across, down = small.columns * factor, small.rows * factor
+    # Pixels in a row go on beside the photograph where the last blocks do.
+    x = grid.x()[0] + grid.pixel_size * np.arange(across)
+    y = grid.y()[0] - grid.pixel_size * np.arange(down)
+    np.testing.assert_allclose(small.x(), x.reshape(-1, factor).mean(axis=1))
+    np.testing.assert_allclose(small.y(), y.reshape(-1, factor).mean(axis=1))
+    assert small.shape == ((41 // factor, 62 // factor) if whole else (-(-41 // factor), -(-62 // factor)))
+
+
+@pytest.mark.parametrize("block", range(1, 30))
+def test_lines_that_are_looked_at_lie_in_the_middle_of_a_block(block):
+    lines = middle_lines(block, 4)
+    assert np.mean(lines) == (block - 1) / 2
+    assert min(block, 4) <= len(lines) <= min(block, 5)
 
 
 @pytest.mark.parametrize("factor", [1, 3, 4])

@@ -33,7 +33,7 @@ GRID = PixelGrid(750, 1000, 0.5, (0.0, 0.0, 1542.0))
 def lensed_flat_field():
     """What the horizontal stand's lensed lamps give on the plane, known only in the frame."""
     block = block_size(GRID)
-    x, y = GRID.block_centres(block)
+    x, y = GRID.reduced(block).x(), GRID.reduced(block).y()
     points = np.stack([*np.meshgrid(x, y), np.zeros((len(y), len(x)))])
     lights = horizontal()
     return lights, extend_beyond_frame(lights.vectors(points)[..., 2:], x, y, block * GRID.pixel_size)
@@ -85,7 +85,7 @@ CAMERA = (0.0, 0.0, 1542.0)
 
 def photographed(lens: float, aim_deg: float = 0.0):
     """Readings of lensed lamps, seen through a lens with so much vignetting, and their places."""
-    x, y = GRID.block_centres(5)
+    x, y = GRID.reduced(5).x(), GRID.reduced(5).y()
     points = np.stack([*np.meshgrid(x, y), np.zeros((len(y), len(x)))])
     lights = horizontal()
     axes = lights.axes + np.radians(aim_deg) * np.random.default_rng(2).normal(size=(8, 3))
@@ -135,7 +135,7 @@ def test_the_lamps_light_is_read_at_its_foot_but_the_lens_at_the_pixel():
 
 
 def test_holes_are_bridged_and_a_flat_field_mostly_unknown_is_refused():
-    x, y = GRID.block_centres(4)
+    x, y = GRID.reduced(4).x(), GRID.reduced(4).y()
     reading = np.ones((1, len(y), len(x), 1), np.float32)
     reading[0, 10:20, 10:20] = np.nan
     flat_field = extend_beyond_frame(reading, x, y, 2.0)

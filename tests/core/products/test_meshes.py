@@ -286,7 +286,7 @@ def test_a_large_height_map_is_reduced_before_it_is_decimated(tmp_path, monkeypa
     found = write_glb(tmp_path / "m.glb", height, grey_albedo(grid), grid)
     assert found["vertices"] == 20 * 28
     mesh = trimesh.load(tmp_path / "m.glb").to_geometry()
-    x, y = grid.block_centres(2)
+    x, y = grid.reduced(2).x(), grid.reduced(2).y()
     np.testing.assert_allclose(mesh.bounds[:, :2] * 1000, [[x[2], y.min()], [x[-1], y.max()]], rtol=1e-5)
 
 
