@@ -29,8 +29,8 @@ from nlights_core.calibration.compiled_normals import (
     REMOVED,
     STATE,
     UPWARD,
+    Criteria,
     Gloss,
-    Limits,
     Search,
     find_normals,
 )
@@ -90,7 +90,7 @@ def correct_blocks(
     beyond = Gloss(
         gloss[lobes].astype(np.float32), alphas[lobes].astype(np.float32), FACETS[lobes], np.float32(departure),
     )  # fmt: skip
-    limits = Limits(np.float32(shadow), np.float32(misfit), np.float32(1 / limit**2), rounds)
+    criteria = Criteria(np.float32(shadow), np.float32(misfit), np.float32(1 / limit**2), rounds)
     search = Search(
         np.empty(STATE, np.float32), np.empty(FACE, np.float32), np.empty((lamps, RAY), np.float32),
         np.empty((len(lobes), HIDDEN), np.float32), np.empty(GLANCE, np.float32), np.empty(FIT, np.float32),
@@ -105,7 +105,7 @@ def correct_blocks(
         if len(lobes) == 0 and beyond.departure == ZERO:
             continue
         # Where no normal can be found, samples stay as they are.
-        if find_normals(samples, beyond, limits, search):
+        if find_normals(samples, beyond, criteria, search):
             _subtract(samples, blocks.colours[block], beyond.departure, search, removed[block])
 
 

@@ -75,8 +75,8 @@ class Gloss(NamedTuple):
     departure: np.float32
 
 
-class Limits(NamedTuple):
-    """Limits of a search for normals.
+class Criteria(NamedTuple):
+    """Criteria of a search for normals.
 
     Attributes
     ----------
@@ -121,20 +121,20 @@ class Search(NamedTuple):
 
 
 @inner
-def find_normals(samples: Array, gloss: Gloss, limits: Limits, search: Search) -> bool:
+def find_normals(samples: Array, gloss: Gloss, criteria: Criteria, search: Search) -> bool:
     """Find scaled normals and what lobes read there; False, and nothing is known, where no pixel has any.
 
     The points of the surface and the views must have been filled in.
     """
     state, of, rays, fit = search.state, search.of, search.rays, search.fit
-    _weigh(samples, limits.shadow, gloss.departure, state, of, fit, rays)
+    _weigh(samples, criteria.shadow, gloss.departure, state, of, fit, rays)
     if not _begin(state, of, fit):
         return False
-    for number in range(limits.rounds + 1):
+    for number in range(criteria.rounds + 1):
         turn_faces(of)
         hide_facets(of, gloss.roughnesses, gloss.kinds, search.hidden)
-        _linearise(samples, gloss, limits, search)
-        if number == limits.rounds or not _step(state, of, fit, rays):
+        _linearise(samples, gloss, criteria, search)
+        if number == criteria.rounds or not _step(state, of, fit, rays):
             break
     return True
 
@@ -190,6 +190,7 @@ def _weigh(
 @inner
 def _add(fit: Array, p: int, weight: Any, value: Any, x: Any, y: Any, z: Any) -> None:
     """Add a sample, or its residual, to the equations of its pixel."""
+    # `add_sample` of `compiled_fits` rounds otherwise, and sums that both share round differently after inlining.
     wx, wy, wz = weight * x, weight * y, weight * z
     fit[MATRIX + p] += wx * x
     fit[MATRIX + BLOCK + p] += wx * y
@@ -224,10 +225,10 @@ def _begin(state: Array, of: Array, fit: Array) -> int:
 
 
 @inner
-def _linearise(samples: Array, gloss: Gloss, limits: Limits, search: Search) -> None:
+def _linearise(samples: Array, gloss: Gloss, criteria: Criteria, search: Search) -> None:
     """Equations of a step from the present normals, and what the lobes read there."""
     state, of, fit, rays, own = search.state, search.of, search.fit, search.rays, search.own
-    departure, misfit, per_limit = gloss.departure, limits.misfit, limits.per_limit
+    departure, misfit, per_limit = gloss.departure, criteria.misfit, criteria.per_limit
     for k in range(MATRIX, DETERMINANT):
         fit[k] = ZERO
     for k in range(len(samples)):
