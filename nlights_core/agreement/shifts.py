@@ -51,7 +51,6 @@ STILL = 3.0
 STARTED = 6
 """Tiles of a size of details from which on it has a say alone."""
 
-
 DEGREE = 4
 """Of the polynomial that the logarithm of a lamp's light is over the field: it leaves 0.1 % or less."""
 

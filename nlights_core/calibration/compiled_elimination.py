@@ -6,6 +6,7 @@ Numba takes half a second.
 
 from __future__ import annotations
 
+import numba
 import numpy as np
 
 from nlights_core.calibration.compiled_reflectance import (
@@ -81,15 +82,13 @@ def linearise_samples(
     """
     count = len(images)
     ray, raised = np.empty(RAY), np.empty(RAY)
-    b, own, slope = np.empty(3), np.empty(2), np.empty(3)
+    b, own, slope, upwards = np.empty(3), np.empty(2), np.empty(3), np.array([0.0, 0.0, 1.0])
     lobes, every, of_flat = np.flatnonzero(gloss), np.arange(COUNT), np.arange(len(FLAT_ALPHAS))
     # Of the normal, of the normal seen from a raised point, and of the flat.
     face, raised_face, flat_face = np.empty(FACE), np.empty(FACE), np.empty(FACE)
     hidden, raised_hidden = np.empty((len(lobes), 2)), np.empty((len(lobes), 2))
     every_hidden, flat_hidden = np.empty((COUNT, 2)), np.empty((len(FLAT_ALPHAS), 2))
-    upwards = np.array([0.0, 0.0, 1.0])
-    at_lobes = 1 + count
-    at_departure = at_lobes + COUNT
+    additive = 1 + count + COUNT + 1
     for p in range(first, last):
         b[0], b[1], b[2] = scaled[p, 0], scaled[p, 1], scaled[p, 2]
         columns[p] = 0
@@ -98,61 +97,75 @@ def linearise_samples(
         precisions[p] = 0
         if not b[2] > 0:
             continue
-        vx, vy, vz = np.float64(views[p, 0]), np.float64(views[p, 1]), np.float64(views[p, 2])
-        wx, wy, wz = (
-            np.float64(raised_views[p, 0]), np.float64(raised_views[p, 1]), np.float64(raised_views[p, 2]),
-        )  # fmt: skip
+        (vx, vy, vz), (wx, wy, wz) = _vector(views, p), _vector(raised_views, p)
         turn(b, vx, vy, vz, every, alphas, FACETS, face, every_hidden)
         turn(b, vx, vy, vz, lobes, alphas, FACETS, face, hidden)
         turn(b, wx, wy, wz, lobes, alphas, FACETS, raised_face, raised_hidden)
         turn(upwards, vx, vy, vz, of_flat, FLAT_ALPHAS, FLAT_FACETS, flat_face, flat_hidden)
-        nx, ny, nz, size, seen = face[0], face[1], face[2], face[3], face[4]
-        floor = 0.02 * size
+        size = face[3]
         for k in range(count):
             weight = np.float64(weights[k, p])
             if not weight > 0:
                 continue
-            prepare(
-                np.float64(lights[k, p, 0]), np.float64(lights[k, p, 1]), np.float64(lights[k, p, 2]),
-                vx, vy, vz, ray,
-            )  # fmt: skip
-            prepare(
-                np.float64(raised_lights[k, p, 0]), np.float64(raised_lights[k, p, 1]),
-                np.float64(raised_lights[k, p, 2]), wx, wy, wz, raised,
-            )  # fmt: skip
+            prepare(*_vector(lights[k], p), vx, vy, vz, ray)
+            prepare(*_vector(raised_lights[k], p), wx, wy, wz, raised)
             value = shade(
                 b, ray, vx, vy, vz, lobes, gloss, alphas, departure, face, hidden, own, slopes[p, k]
             )
             above = shade(
                 b, raised, wx, wy, wz, lobes, gloss, alphas, departure, raised_face, raised_hidden, own, slope
-            )
+            )  # fmt: skip
             residuals[p, k] = images[k, p] - value
-            precisions[p, k] = precision(value, weight, misfit, floor)
+            precisions[p, k] = precision(value, weight, misfit, 0.02 * size)
             of = columns[p, k]
             # What is observed would bring its noise into residual and derivative alike, and their product has a
             # mean: so the change of the predicted reading is taken.
             of[0] = (above - value * dimmer[k, p]) / step
             of[1 + k] = value
-            lit = nx * ray[4] + ny * ray[5] + nz * ray[6]
-            upright = nx * ray[7] + ny * ray[8] + nz * ray[9]
-            if lit > 0 and seen > 0:
-                if upright > 0:
-                    for j in range(COUNT):
-                        shine = lobe(alphas[j], FACETS[j], upright, lit, ray[10], every_hidden[j, 0], own)
-                        of[at_lobes + j] = shine * ray[3] * LOBE_SCALE
-                across = ray[11] - lit * seen
-                if across > 0:
-                    of[at_departure] = size * ray[3] * across / max(lit, seen) * lit
-            of[at_departure + 1] = per_flat[k, p] * (1 - value)
-            of[at_departure + 2] = per_flat[k, p] * (size - value)
-            glossy = 1.0
-            for j in range(len(FLAT_ALPHAS)):
-                mirrored = lobe(FLAT_ALPHAS[j], GGX, ray[9], ray[6], ray[10], flat_hidden[j, 0], own)
-                mirrored /= WHITE * ray[6]
-                of[at_departure + 3 + j] = -value * mirrored
-                glossy += flat_gloss[j] * mirrored
-            for j in range(len(FLAT_ALPHAS)):
-                of[at_departure + 3 + j] /= glossy
+            _derive_by_surface(alphas, ray, face, every_hidden, own, of, 1 + count)
+            of[additive] = per_flat[k, p] * (1 - value)
+            of[additive + 1] = per_flat[k, p] * (size - value)
+            _derive_by_flat(flat_gloss, value, ray, flat_hidden, own, of, additive + 2)
+
+
+@numba.njit(inline="always")
+def _vector(of: Array, p: int) -> tuple[float, float, float]:
+    """Components of one of the vectors, in double precision."""
+    return np.float64(of[p, 0]), np.float64(of[p, 1]), np.float64(of[p, 2])
+
+
+@numba.njit(inline="always")
+def _derive_by_surface(
+    alphas: Array, ray: Array, face: Array, hidden: Array, own: Array, out: Array, at: int
+) -> None:
+    """Fill in a sample's derivatives by the lobes and by the departure, one after the other; 0 stays where it is."""
+    nx, ny, nz, size, seen = face[0], face[1], face[2], face[3], face[4]
+    lit = nx * ray[4] + ny * ray[5] + nz * ray[6]
+    if not (lit > 0 and seen > 0):
+        return
+    upright = nx * ray[7] + ny * ray[8] + nz * ray[9]
+    if upright > 0:
+        for j in range(COUNT):
+            shine = lobe(alphas[j], FACETS[j], upright, lit, ray[10], hidden[j, 0], own)
+            out[at + j] = shine * ray[3] * LOBE_SCALE
+    across = ray[11] - lit * seen
+    if across > 0:
+        out[at + COUNT] = size * ray[3] * across / max(lit, seen) * lit
+
+
+@numba.njit(inline="always")
+def _derive_by_flat(
+    flat_gloss: Array, value: float, ray: Array, hidden: Array, own: Array, out: Array, at: int
+) -> None:
+    """Fill in a sample's derivatives by the lobes of the flat, ``value`` being what is predicted."""
+    glossy = 1.0
+    for j in range(len(FLAT_ALPHAS)):
+        mirrored = lobe(FLAT_ALPHAS[j], GGX, ray[9], ray[6], ray[10], hidden[j, 0], own)
+        mirrored /= WHITE * ray[6]
+        out[at + j] = -value * mirrored
+        glossy += flat_gloss[j] * mirrored
+    for j in range(len(FLAT_ALPHAS)):
+        out[at + j] /= glossy
 
 
 @kernel

@@ -22,9 +22,10 @@ from nlights_core.memory import band_memory
 from nlights_core.photographs.exposures import Exposure
 from nlights_core.photographs.flat_fields import FlatField
 from nlights_core.photographs.headers import grid_of, survey
-from nlights_core.photographs.images import EYE, ImageInfo, Photograph, grey, is_saturated
+from nlights_core.photographs.images import ImageInfo, Photograph, grey, is_saturated
 from nlights_core.photographs.masks import Mask
 from nlights_core.photographs.noise import Noise, measure_noise
+from nlights_core.photographs.relation import grey_shares, relate, relate_compiled
 from nlights_core.photographs.shifted import Shift, ShiftedPhotograph
 
 BAND_BYTES = 64 << 20
@@ -274,9 +275,9 @@ class Darkroom:
             mix = grey_shares(images.shape[-1], flat_field)
             if lights.near and ambient is None and available():
                 photons = mix**2 * self.noise.gain / lights.power
-                vectors = _related(images, weights, lights, flat_field, points, pixels, photons)
+                vectors = relate_compiled(images, weights, lights, flat_field, points, pixels, photons)
             else:
-                vectors, ambient = _relative(
+                vectors, ambient = relate(
                     images, weights, ambient, lights, flat_field, points, pixels, self.noise, mix
                 )
         mixed = grey(images, shares)
@@ -328,79 +329,6 @@ class Darkroom:
                 "saturates in encoding.saturation (65535 for the range of 16 bits), or none if nothing is saturated"
             )
         return None
-
-
-def grey_shares(channels: int, flat_field: FlatField | None) -> Array:
-    """Share of each channel in the grey that a solver sees, (C,) float32: the flat field's, or else the eye's."""
-    if flat_field is not None and len(flat_field.shares) == channels:
-        return np.asarray(flat_field.shares, np.float32)
-    return np.asarray(EYE if channels > 1 else np.ones(1), np.float32)
-
-
-def _relative(
-    images: Array,
-    weights: Array,
-    ambient: Array | None,
-    lights: LightField,
-    flat_field: FlatField,
-    points: Array,
-    pixels: Array | None,
-    noise: Noise,
-    mix: Array,
-) -> tuple[Array, Array | None]:
-    """Divide images by the flat field and weigh them, in place; make the lights relative to it.
-
-    The flat field is read where each lamp's ray through a point meets the plane (numerics, section
-    1): power, emission and fall-off cancel there, and only geometry is left.
-    """
-    vectors, origins = lights.vectors(points), lights.plane_points(points)
-    relative = np.empty((len(images), *points.shape[1:], 3), np.float32)
-    for i, power in enumerate(lights.power.astype(np.float32)):
-        x, y = origins[i if len(origins) > 1 else 0]
-        reading = flat_field.at(i, x, y, pixels)
-        # A flat field that is not known, or nearly dark, leaves the sample unknown.
-        usable: Array = np.all(np.isfinite(reading) & (reading > 1e-6 * flat_field.brightest), axis=-1)
-        reading = np.where(usable[..., None], reading, np.float32(1))
-        images[i] /= reading
-        weights[i] *= np.where(usable, 1 / noise.photons(reading * power, mix), np.float32(0))
-        if ambient is not None:
-            ambient[i] *= (mix / reading).sum(axis=-1)
-        if lights.near:
-            on_plane = lights.only(i).vectors(np.stack([x, y, np.zeros_like(x)]))[0, ..., 2]
-            relative[i] = vectors[i] / on_plane[..., None]
-        else:
-            relative[i] = vectors[i] / vectors[i, ..., 2:]
-    return relative, ambient
-
-
-def _related(
-    images: Array,
-    weights: Array,
-    lights: LightField,
-    flat_field: FlatField,
-    points: Array,
-    pixels: Array | None,
-    photons: Array,
-) -> Array:
-    """Do as `_relative` does, for near lamps without ambient light; ``photons`` (L, C) is the variance they bring."""
-    from nlights_core.photographs.compiled_relation import relate
-
-    assert lights.positions is not None
-    relative = np.empty((len(images), *points.shape[1:], 3), np.float32)
-    seen, lens = np.empty((0, 0), np.float32), np.zeros(4)
-    if pixels is not None and flat_field.camera is not None:
-        x, y, z = flat_field.camera
-        lens = np.array([x, y, z**-2, flat_field.vignetting])
-        seen = 1 + ((pixels[0] - np.float32(x)) ** 2 + (pixels[1] - np.float32(y)) ** 2) * np.float32(z**-2)
-    place, least = np.array([flat_field.left, flat_field.top, flat_field.step]), 1e-6 * flat_field.brightest
-    for i, position in enumerate(lights.positions):
-        # A computed flat field has one channel, whatever the photographs have.
-        own = np.broadcast_to(flat_field.logarithm[i], (*flat_field.logarithm.shape[1:3], images.shape[-1]))
-        own = np.require(own, np.float32, ["C", "W"])
-        relate(
-            points, position, own, place, lens, seen, photons[i], least, images[i], weights[i], relative[i]
-        )
-    return relative
 
 
 @contextmanager

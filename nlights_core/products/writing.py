@@ -153,20 +153,8 @@ def write_maps(
     exposure = 1.0 if absolute else _exposure(maps["albedo"])
     write_albedo_view(folder / "albedo_view.tif", maps["albedo"], grid, exposure, compression)
     progress(0.9)
-    said = {"height": f"Height in {grid.unit}, its constant free; {FRAME}"}
-    if "trend" in maps:
-        said["trend"] = f"Trend removed from the height, {grid.unit}"
-    for name, description in said.items():
-        rows = (np.asarray(maps[name][band]) for band in places)
+    for name, rows, description in _heights(maps, grid, places, None if shared is None else shared[0]):
         tiff(folder / f"{name}.tif", rows, grid.shape, description=description)
-    if shared is not None:
-        tiff(
-            folder / "height_uncertainty.tif",
-            _height_uncertainty(maps, grid, shared[0], places),
-            grid.shape,
-            description=f"Standard uncertainty of the height after the best constant, {grid.unit}; NaN where not "
-            "known",
-        )
     progress(1.0)
 
 
@@ -221,6 +209,22 @@ def _uncertainty(
         return own if wide is None else np.hypot(own, wide[band])
 
     return in_order(made, places)
+
+
+def _heights(
+    maps: Mapping[str, Array], grid: PixelGrid, places: Sequence[slice], coarse: Array | None
+) -> Iterator[tuple[str, Iterator[Array], str]]:
+    """The maps of heights to be written: name, rows band by band, and description."""
+    said = {"height": f"Height in {grid.unit}, its constant free; {FRAME}"}
+    if "trend" in maps:
+        said["trend"] = f"Trend removed from the height, {grid.unit}"
+    for name, description in said.items():
+        yield name, (np.asarray(maps[name][band]) for band in places), description
+    if coarse is not None:
+        description = (
+            f"Standard uncertainty of the height after the best constant, {grid.unit}; NaN where not known"
+        )
+        yield "height_uncertainty", _height_uncertainty(maps, grid, coarse, places), description
 
 
 def _height_uncertainty(

@@ -5,18 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from nlights_core.files.reduction import block_means
-from nlights_core.frames import Array, PixelGrid
+from nlights_core.frames import Array
 from nlights_core.products.viewing import srgb
 from nlights_core.report import pictures, plots
 from nlights_core.report.figures import CHECKED_ON, figure_of
 from nlights_core.report.map_statistics import bias_angle, extremes, unevenness
-from nlights_core.report.pictures import Picture, Tick
+from nlights_core.report.pictures import Picture
+from nlights_core.report.views import Views
 
 DETAIL = 640
 """Longest side of the detail that is shown pixel by pixel."""
@@ -59,44 +59,6 @@ def _exposure(albedo: Array | None) -> float:
         return 1.0
     bright = float(np.nanpercentile(albedo, 99.5))
     return 1.0 if 0.2 <= bright <= 1.05 or bright <= 0 else 0.9 / bright
-
-
-class Views:
-    """Reduced views of a tile's maps, and the scale that goes with them."""
-
-    def __init__(self, maps: Mapping[str, Array], grid: PixelGrid) -> None:
-        self.maps, self.grid = maps, grid
-        self.factor = pictures.view_factor(grid.shape)
-        self.rows, self.columns = grid.rows // self.factor, grid.columns // self.factor
-        step = self.factor * grid.pixel_size
-        self.width, self.tall = self.columns * step, self.rows * step
-        self.scale = pictures.scale_bar(self.width, grid.unit)
-
-    def of(self, name: str) -> Array | None:
-        """The reduced map, None where there is none."""
-        return block_means(self.maps[name], self.factor) if name in self.maps else None
-
-    @cached_property
-    def height(self) -> Array | None:
-        """The reduced height, None where there is none."""
-        return self.of("height")
-
-    @cached_property
-    def height_unit(self) -> tuple[float, str]:
-        """Factor that heights are multiplied by in this report, and their unit then: µm where the relief is flat."""
-        if self.grid.unit == "px":
-            return 1.0, "pixels"
-        low, high = (0.0, 1.0) if self.height is None else pictures.robust_range(self.height)
-        return (1000.0, "µm") if high - low < 1 else (1.0, self.grid.unit)
-
-    def edges(self) -> tuple[tuple[Tick, ...], tuple[Tick, ...]]:
-        """Labels along the lower and the left edge of a map, in the plane frame."""
-        left = float(self.grid.x()[0]) - self.grid.pixel_size / 2
-        top = float(self.grid.y(0, 1)[0]) + self.grid.pixel_size / 2
-        return (
-            pictures.edge_ticks(left, left + self.width),
-            pictures.edge_ticks(top, top - self.tall, max(2, min(5, round(5 * self.tall / self.width)))),
-        )
 
 
 def _surface(views: Views, white: float | None) -> Iterable[Picture]:
@@ -248,6 +210,13 @@ def _trust(views: Views) -> Iterable[Picture]:
             bar=bar,
             scale=views.scale,
         )
+    yield from _height_uncertainty(views)
+    if reflection is not None:
+        yield _reflection(views, reflection)
+
+
+def _height_uncertainty(views: Views) -> Iterable[Picture]:
+    """Uncertainty of the height, where it is known."""
     doubt = views.of("height_uncertainty")
     if doubt is not None:
         factor, unit = views.height_unit
@@ -262,25 +231,28 @@ def _trust(views: Views) -> Iterable[Picture]:
             bar=bar,
             scale=views.scale,
         )
-    if reflection is not None:
-        mean = _grey_mean(reflection)
-        image, bar = pictures.coloured(
-            mean,
-            pictures.robust_range(mean, symmetric=True),
-            "RdBu_r",
-            "Reflection, on the scale of the albedo",
-        )
-        yield Picture(
-            "Reflection",
-            "Apparent colour (mean over the lamps) minus albedo, mean of the colours. Gloss shows as red. Slopes "
-            "show as pairs of red and blue, on a matt surface too: on average over the lamps, one side of a "
-            "stroke is lit more than level ground and the other less. Wide patches of one colour: the light is not "
-            "well known.",
-            "Map of reflection, red where the apparent colour is brighter than the albedo, blue where darker",
-            image,
-            bar=bar,
-            scale=views.scale,
-        )
+
+
+def _reflection(views: Views, reflection: Array) -> Picture:
+    """Apparent colour less albedo."""
+    mean = _grey_mean(reflection)
+    image, bar = pictures.coloured(
+        mean,
+        pictures.robust_range(mean, symmetric=True),
+        "RdBu_r",
+        "Reflection, on the scale of the albedo",
+    )
+    return Picture(
+        "Reflection",
+        "Apparent colour (mean over the lamps) minus albedo, mean of the colours. Gloss shows as red. Slopes "
+        "show as pairs of red and blue, on a matt surface too: on average over the lamps, one side of a "
+        "stroke is lit more than level ground and the other less. Wide patches of one colour: the light is not "
+        "well known.",
+        "Map of reflection, red where the apparent colour is brighter than the albedo, blue where darker",
+        image,
+        bar=bar,
+        scale=views.scale,
+    )
 
 
 def _lights_used(views: Views) -> Picture:

@@ -9,8 +9,9 @@ from typing import Any, NamedTuple
 
 from nlights_core.capture_warnings import CaptureWarning
 from nlights_core.frames import Array, PixelGrid
-from nlights_core.report.chapters import Chapter, Views, chapters
+from nlights_core.report.chapters import Chapter, chapters
 from nlights_core.report.figures import Number, figure_of
+from nlights_core.report.views import Views
 
 
 def _length(value: float) -> str:

@@ -52,10 +52,45 @@ def write_report(
 
     made = {name: store.path(ref) for name, ref in refs.items() if ref is not None}
     records = _records(store, refs)
-    normals, height, agreement = refs["normals"], refs["height"], refs["agreement"]
+    maps = _open_maps(store, refs, made, grid)
+    assert refs["normals"] is not None
+    assert refs["agreement"] is not None
+    white = white_reflectance(store, refs["normals"])
+    said = _facts(tile, record, made, white)
+    others = [
+        warning
+        for place in records
+        if place != refs["agreement"].folder
+        for warning in read_warnings(store.root / place)
+    ]
+    # Drawing keeps mostly Python busy and measuring mostly compiled loops, so they go on together.
+    with ThreadPoolExecutor(1) as beside:
+        drawing = beside.submit(draw, said, maps, grid)
+        numbers = _numbers(maps, grid, tile, made, said, white)
+        photographs = read_warnings(made["agreement"])
+        if "alignment" in made:
+            shifts = read_shifts(made["alignment"])
+            numbers += of_shifts(shifts)
+            if shifts.believed:
+                # What was taken out is said once, by those who took it out.
+                photographs = [warning for warning in photographs if warning.code != "moved"]
+        numbers = quality.grouped(_without_explained(numbers, photographs))
+        warnings = _warnings(photographs, others, numbers)
+        write_html(folder / "report.html", said, drawing.result(), numbers, warnings)
+    if "trend" in made and (made["trend"] / DIFFERENCES).is_file():
+        shutil.copyfile(made["trend"] / DIFFERENCES, folder / DIFFERENCES)
+    write_warnings(folder, warnings)
+    _write_json(folder / "quality.json", [asdict(number) for number in numbers])
+    _write_json(folder / "provenance.json", _provenance(tile, record, list(records.values())))
+
+
+def _open_maps(
+    store: Store, refs: Mapping[str, ArtefactRef | None], made: Mapping[str, Path], grid: PixelGrid
+) -> dict[str, Array]:
+    """Open the maps that the report shows or measures, by name."""
+    normals, height = refs["normals"], refs["height"]
     assert normals is not None
     assert height is not None
-    assert agreement is not None
     maps = open_maps(store, normals, height, refs["trend"])
     maps["measured"] = maps["normals"]
     for name in ("albedo", "reflection", "normals", "confidence"):
@@ -66,11 +101,16 @@ def write_report(
         maps["flat_field"] = read_flat_field(made["flat_field"]).inside(grid)
     if "bias" in made:
         maps["bias"] = read_array(made["bias"] / "bias.npy")
-    inside = Mask(tile.mask).pixels if tile.mask else None
-    white = white_reflectance(store, normals)
+    return maps
+
+
+def _facts(
+    tile: Tile, record: Mapping[str, Any], made: Mapping[str, Path], white: float | None
+) -> dict[str, Any]:
+    """Facts of a tile, its capture and its products, as the page shows them."""
     files = [*made["maps"].iterdir(), *made["mesh"].iterdir()]
     border = tile.mask.parent if tile.auto_mask and tile.mask else made["agreement"]
-    said = {
+    return {
         "artwork": tile.artwork,
         "title": tile.title,
         "tile": tile.name,
@@ -91,33 +131,11 @@ def write_report(
             if path.name in WHAT
         ],
     }
-    # Drawing keeps mostly Python busy and measuring mostly compiled loops, so they go on together.
-    with ThreadPoolExecutor(1) as beside:
-        drawing = beside.submit(draw, said, maps, grid)
-        numbers = _numbers(maps, grid, tile, made, said, white, inside)
-        if "calibration" in made:
-            numbers += of_calibration(
-                read_calibration(made["calibration"]), read_uncertainty(made["calibration"])
-            )
-        if "trend" in made:
-            source = tile.known_heights.file.name if tile.known_heights else ""
-            numbers += quality.of_known_heights(read_differences(made["trend"]), source)
-            if (made["trend"] / DIFFERENCES).is_file():
-                shutil.copyfile(made["trend"] / DIFFERENCES, folder / DIFFERENCES)
-        places = [store.root / place for place in records if place != agreement.folder]
-        others = [warning for place in places for warning in read_warnings(place)]
-        photographs = read_warnings(made["agreement"])
-        if "alignment" in made:
-            shifts = read_shifts(made["alignment"])
-            numbers += of_shifts(shifts)
-            if shifts.believed:
-                # What was taken out is said once, by those who took it out.
-                photographs = [warning for warning in photographs if warning.code != "moved"]
-        numbers = quality.grouped(_without_explained(numbers, photographs))
-        warnings = _warnings(photographs, others, numbers)
-        write_html(folder / "report.html", said, drawing.result(), numbers, warnings)
-    write_warnings(folder, warnings)
-    provenance = {
+
+
+def _provenance(tile: Tile, record: Mapping[str, Any], stages: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Record of what made the products, in full."""
+    return {
         "nlights": __version__,
         "artwork": tile.artwork,
         "title": tile.title,
@@ -127,10 +145,8 @@ def write_report(
         "recipe": record["facts"]["recipe"],
         "stand": record["facts"]["stand"],
         "photographs": {lamp: path.name for lamp, path in tile.frames.items()},
-        "stages": list(records.values()),
+        "stages": stages,
     }
-    _write_json(folder / "quality.json", [asdict(number) for number in numbers])
-    _write_json(folder / "provenance.json", provenance)
 
 
 def _border(folder: Path, used: bool) -> dict[str, str] | None:
@@ -153,12 +169,11 @@ def _numbers(
     made: Mapping[str, Path],
     said: Mapping[str, Any],
     white: float | None,
-    inside: int | None,
 ) -> list[Number]:
-    """The numbers of the report, but for those of the level."""
+    """The numbers of the report, but for those of the shifts."""
     stand, uncertainty = tile.stand, tile.stand.uncertainty_mm if tile.stand else None
     field = LightField.from_record(said["lights"])
-    numbers = quality.measure(maps, grid, tile.lamps, inside)
+    numbers = quality.measure(maps, grid, tile.lamps, Mask(tile.mask).pixels if tile.mask else None)
     refined = bool(said["recipe"]["light_model"].get("refine"))
     numbers += of_agreement(read_agreement(made["normals"]), tile.lamps, refined)
     wrong = uncertainty and position_uncertainty(
@@ -169,13 +184,21 @@ def _numbers(
     absent = NOT_MEASURED if white is not None else NOT_IN_RECIPE
     numbers += quality.of_flat(check, stand.name if stand else None, absent)
     photographed = made["flat_field"] if white is not None else None
-    return numbers + of_flat_levels(
+    numbers += of_flat_levels(
         maps["flat_field"] if photographed else None,
         field.power,
         read_noise(photographed) if photographed else None,
         tile.lamps,
         absent,
     )
+    if "calibration" in made:
+        numbers += of_calibration(
+            read_calibration(made["calibration"]), read_uncertainty(made["calibration"])
+        )
+    if "trend" in made:
+        source = tile.known_heights.file.name if tile.known_heights else ""
+        numbers += quality.of_known_heights(read_differences(made["trend"]), source)
+    return numbers
 
 
 EXPLAINS_STAND = {

@@ -33,6 +33,16 @@ from nlights_core.solving.kernels import Images
 SHADOW = 0.02
 """A light that shows less than this share of what the brightest one shows is counted as shadow."""
 
+ARRAYS: dict[str, tuple[tuple[int, ...], type[np.generic]]] = {
+    "normals": ((3,), np.float32),
+    "confidence": ((), np.float32),
+    "residual": ((), np.float32),
+    "used": ((), np.uint8),
+    "saturated": ((), np.uint8),
+    "shadow": ((), np.uint8),
+}
+"""Arrays that are written, by name: what follows rows and columns in their shape, and their type."""
+
 COLOURS = {
     "albedo": "Albedo; {}; NaN where not known",
     "reflection": "Apparent colour (mean over the lamps) minus albedo; {}; signed",
@@ -84,30 +94,12 @@ def solve_tile(
     TileError
         When a photograph cannot be read or says nothing.
     """
-    shape, scale = room.grid.shape, 1.0 if white is None else white
-    files = {
-        "normals": ((*shape, 3), np.float32),
-        "confidence": (shape, np.float32),
-        "residual": (shape, np.float32),
-        "used": (shape, np.uint8),
-        "saturated": (shape, np.uint8),
-        "shadow": (shape, np.uint8),
-    }
     meter = AgreementMeter(room.grid, partial(solve_band, solver))
-    plain = not room.veil and not lights.ambient.any()
-    if available() and flat_field is not None and plain:
-        from nlights_core.solving.fused_solving import FusedSolver
-
-        strips = FusedSolver(room, solver, lights, flat_field, height, SHADOW, scale, correction).strips(
-            meter
-        )
-    else:
-        correct = correction.of_band if correction else None
-        strips = _by_bands(room, solver, lights, flat_field, height, scale, meter, correct)
+    strips = _strips(room, solver, lights, flat_field, height, white, meter, correction)
     with ExitStack() as stack:
         out: dict[str, BandWriter | BandTiff] = {
-            name: stack.enter_context(BandWriter(folder / f"{name}.npy", *kind))
-            for name, kind in files.items()
+            name: stack.enter_context(BandWriter(folder / f"{name}.npy", (*room.grid.shape, *more), kind))
+            for name, (more, kind) in ARRAYS.items()
         }
         for name in COLOURS:
             out[name] = stack.enter_context(_coloured(folder / f"{name}.tif", room, white))
@@ -120,6 +112,28 @@ def solve_tile(
             progress(stop / room.grid.rows)
     write_agreement(folder, meter.found())
     write_array(folder / "frames.npy", room.views())
+
+
+def _strips(
+    room: Darkroom,
+    solver: NormalSolver,
+    lights: LightField,
+    flat_field: FlatField | None,
+    height: Rows | None,
+    white: float | None,
+    meter: AgreementMeter,
+    correction: Correction | None,
+) -> Iterator[tuple[int, int, Images]]:
+    """Solve strip by strip: by compiled loops where they can, or else by bands."""
+    scale = 1.0 if white is None else white
+    plain = not room.veil and not lights.ambient.any()
+    if available() and flat_field is not None and plain:
+        from nlights_core.solving.fused_solving import FusedSolver
+
+        fused = FusedSolver(room, solver, lights, flat_field, height, SHADOW, scale, correction)
+        return fused.strips(meter)
+    correct = correction.of_band if correction else None
+    return _by_bands(room, solver, lights, flat_field, height, scale, meter, correct)
 
 
 def _coloured(path: Path, room: Darkroom, white: float | None) -> BandTiff:

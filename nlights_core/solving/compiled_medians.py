@@ -1,4 +1,4 @@
-"""Compiled medians: what most triplets of lights say, as `robust_fitting.median_of_triplets` has it.
+"""Compiled medians: what most triplets of lights say, as `triplets.median_of_triplets` has it.
 
 See `nlights_core.solving.compiled_fits` for the blocks of pixels.
 """

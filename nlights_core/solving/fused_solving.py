@@ -24,10 +24,11 @@ from nlights_core.machine.band_threads import cores, in_order
 from nlights_core.memory import band_memory
 from nlights_core.photographs.blocks import BLOCK, SAMPLE, USABLE, VALUE, X, Y, Z
 from nlights_core.photographs.compiled_development import COUNTED, SCRATCH, cells, develop
-from nlights_core.photographs.development import Band, Darkroom, Rows, grey_shares
+from nlights_core.photographs.development import Band, Darkroom, Rows
 from nlights_core.photographs.exposures import Exposure
 from nlights_core.photographs.flat_fields import FlatField
 from nlights_core.photographs.images import EYE
+from nlights_core.photographs.relation import grey_shares
 from nlights_core.photographs.strips import Blocks, Optics, Strip
 from nlights_core.solving.agreement import AgreementMeter
 from nlights_core.solving.compiled_delivery import deliver, strip_solver, take_solution

@@ -98,7 +98,8 @@ def scratch(count: int, rule: Rule) -> Work:
     from nlights_core.photographs.blocks import BLOCK, SAMPLE
     from nlights_core.solving.compiled_fits import FIT, Work
     from nlights_core.solving.compiled_solutions import FOUND
-    from nlights_core.solving.robust_fitting import chosen_triplets, scale_quantiles
+    from nlights_core.solving.robust_fitting import scale_quantiles
+    from nlights_core.solving.triplets import chosen_triplets
 
     blocks = max(SAMPLES // (count * BLOCK), 1)
     # Of a hundred lights there are so many triplets that only who asks for them shall wait.

@@ -11,6 +11,7 @@ from nlights_core.machine.kernel_switch import available
 from nlights_core.solving import kernels, least_squares, robust_fitting
 from nlights_core.solving.least_squares import UsableLights
 from nlights_core.solving.rules import Kernel, rule
+from nlights_core.solving.triplets import median_of_triplets
 
 
 class MedianOfTriplets(UsableLights):
@@ -41,7 +42,7 @@ class MedianOfTriplets(UsableLights):
     def _solved(self, images: Array, lights: Array, weights: Array) -> Solution:
         usable = least_squares.lit(images, weights, self.shadow)
         found = least_squares.fit(images, lights, usable, self.condition)
-        median = robust_fitting.median_of_triplets(images, lights, usable, self.most)
+        median = median_of_triplets(images, lights, usable, self.most)
         found.scaled[:, np.isnan(median[0])] = np.nan
         known = np.isfinite(found.scaled[0])
         found.scaled[:, known] = median[:, known]

@@ -45,59 +45,63 @@ def digitise_tile(
         found = call(stages.mask, tile, flats)
         seen = tile.model_copy(update={"mask": Path(found.folder) / MASK})
     agreement = call(stages.agreement, seen, lights, flats)
-    bias = overview = trend = None
+    bias = overview = None
     if detrend.normals:
         bias = call(stages.bias, tile, detrend.normals, recipe.normals, lights, flat_field)
     calibration = alignment = None
     if _calibrates(recipe):
-        assert recipe.calibration
-        if recipe.calibration.align:
-            alignment = call(stages.alignment, seen, lights, agreement)
-        groups = recipe.calibration.groups()
-        calibration = call(stages.calibration, seen, lights, flat_field, groups, alignment)
+        alignment, calibration = _calibrate(seen, recipe, call, lights, flat_field, agreement)
     elif recipe.passes > 1:
         overview = call(stages.overview, seen, lights, flat_field, recipe.passes - 1)
     # Only a photographed flat knows what white is.
     white = detrend.images is not None and "flats" in detrend.images.needs
-    normals = call(
-        stages.normals,
-        seen,
-        recipe.normals,
-        lights,
-        flat_field,
-        bias,
-        calibration or overview,
-        white,
-        alignment,
-    )
+    before = calibration or overview
+    normals = call(stages.normals, seen, recipe.normals, lights, flat_field, bias, before, white, alignment)
+    height, trend, maps = _integrate(tile, recipe, call, compression, normals, calibration)
+    mesh = call(stages.mesh, tile, maps, height)
+    report = call(
+        stages.report, seen, recipe_record(recipe), lights, flat_field, agreement, bias, normals, height, trend, maps,
+        mesh, calibration, alignment,
+    )  # fmt: skip
+    return {"maps": maps, "mesh": mesh, "report": report}
+
+
+def _calibrate(
+    tile: Tile,
+    recipe: Recipe,
+    call: Call,
+    lights: ArtefactRef,
+    flat_field: ArtefactRef | None,
+    agreement: ArtefactRef,
+) -> tuple[ArtefactRef | None, ArtefactRef]:
+    """Find how the photographs lie on each other, if that is asked for, and what all pixels share."""
+    assert recipe.calibration
+    alignment = None
+    if recipe.calibration.align:
+        alignment = call(stages.alignment, tile, lights, agreement)
+    groups = recipe.calibration.groups()
+    return alignment, call(stages.calibration, tile, lights, flat_field, groups, alignment)
+
+
+def _integrate(
+    tile: Tile,
+    recipe: Recipe,
+    call: Call,
+    compression: str,
+    normals: ArtefactRef,
+    calibration: ArtefactRef | None,
+) -> tuple[ArtefactRef, ArtefactRef | None, ArtefactRef]:
+    """Integrate normals to a height; return it, the trend taken out of it, and the maps."""
+    trend = None
     height = integrated = call(stages.height, tile, recipe.integrator, normals)
-    if detrend.height:
-        height = trend = call(stages.trend, tile, detrend.height, height)
+    if recipe.detrend.height:
+        height = trend = call(stages.trend, tile, recipe.detrend.height, height)
     if calibration:
         height = call(stages.level, tile, height, calibration)
-
     perspective = recipe.integrable and getattr(recipe.integrator, "perspective", False)
     surface = integrated if recipe.integrable else None
     maps = call(stages.maps, tile, normals, height, trend, surface, perspective, compression, calibration)
-    mesh = call(stages.mesh, tile, maps, height)
-    record = recipe_record(recipe)
-    report = call(
-        stages.report,
-        seen,
-        record,
-        lights,
-        flat_field,
-        agreement,
-        bias,
-        normals,
-        height,
-        trend,
-        maps,
-        mesh,
-        calibration,
-        alignment,
-    )
-    return {"maps": maps, "mesh": mesh, "report": report}
+    return height, trend, maps
 
 
 def recipe_record(recipe: Recipe) -> dict[str, Any]:

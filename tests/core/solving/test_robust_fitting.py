@@ -6,6 +6,7 @@ import pytest
 from nlights_core.algorithms import PHOTONS, Solution
 from nlights_core.simulation.evaluation import angles_between
 from nlights_core.solving import least_squares, robust_fitting
+from nlights_core.solving.triplets import median_of_triplets
 
 CONDITION = 100.0
 
@@ -125,7 +126,7 @@ def test_rank_trimming_keeps_the_ranks_between_the_shares_of_the_usable_samples(
 def test_the_median_of_triplets_outvotes_a_wrong_light():
     images, lights, truth = matt(8, 300)
     images[5] *= 2
-    found = robust_fitting.median_of_triplets(images, lights, np.ones_like(images), 120)
+    found = median_of_triplets(images, lights, np.ones_like(images), 120)
     normals = (found / np.linalg.norm(found, axis=0)).T
     assert angles_between(normals, truth).max() < 0.05
 
@@ -134,7 +135,7 @@ def test_with_three_lights_the_median_of_triplets_is_their_solution_and_with_two
     images, lights, truth = matt(3, 5)
     weights = np.ones_like(images)
     weights[1, 2] = 0
-    found = robust_fitting.median_of_triplets(images, lights, weights, 120)
+    found = median_of_triplets(images, lights, weights, 120)
     assert np.isnan(found[:, 2]).all()
     others = [0, 1, 3, 4]
     normals = (found / np.linalg.norm(found, axis=0)).T
