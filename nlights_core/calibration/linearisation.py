@@ -59,6 +59,9 @@ class Equations(NamedTuple):
         Mean residuals as shares of the albedo, on the same blocks; NaN where none is known.
     noise : float
         Variance that noise alone gives these.
+    noisier : (h, w) float64 array
+        Standard deviation of a normal against that of the same paint without gloss, on the same blocks: the light of
+        a highlight tells slopes too.
     """
 
     matrix: Array
@@ -68,6 +71,7 @@ class Equations(NamedTuple):
     scale: float
     blocks: Array
     noise: float
+    noisier: Array
 
 
 def improve_normals(samples: Samples, shared: Shared, scaled: Array, limit: float, rounds: int) -> Array:
@@ -141,7 +145,9 @@ def linearise(
     _in_parts(size, some)
     if more is not None:
         columns = np.concatenate([columns, more], axis=2)
-    return _eliminate(room.grid, pixels, columns, slopes, residuals, precisions, scaled)
+    matt = not shared.gloss.any() and not shared.departure
+    rays = None if matt else np.moveaxis(here.lights, 1, 0)
+    return _eliminate(room.grid, pixels, columns, slopes, residuals, precisions, scaled, rays)
 
 
 def _eliminate(
@@ -152,8 +158,12 @@ def _eliminate(
     residuals: Array,
     precisions: Array,
     scaled: Array,
+    rays: Array | None,
 ) -> Equations:
-    """Eliminate the normals, and add to each column the bend of the height that it makes."""
+    """Eliminate the normals, and add to each column the bend of the height that it makes.
+
+    ``rays`` (N, L, 3) are the derivatives by the scaled normal if the paint were matt; None: it is.
+    """
     from nlights_core.calibration.compiled_elimination import add_equations, eliminate_normals
 
     size, count, unknowns = columns.shape
@@ -194,7 +204,30 @@ def _eliminate(
     rest = np.where(precisions > 0, residuals / albedo[:, None], np.nan)
     blocks = np.stack([_on_blocks(grid, pixels, rest[:, k], usable) for k in range(count)])
     noise = _noise(grid, pixels, variances, usable)
-    return Equations(matrix, right, scatter, bends, scale, blocks, noise)
+    noisier = np.ones(bends.shape[1:])
+    if rays is not None:
+        ratio = _noise_against_matt(inverses, rays, precisions, scaled)
+        noisier = fill(_on_blocks(grid, pixels, ratio, usable))
+    return Equations(matrix, right, scatter, bends, scale, blocks, noise, noisier)
+
+
+def _noise_against_matt(inverses: Array, rays: Array, precisions: Array, scaled: Array) -> Array:
+    """Standard deviation of normals over that which matt paint would have, (N,); NaN where not known."""
+    upper = np.zeros((len(scaled), 3, 3))
+    upper[:, (0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2)] = inverses
+    glossy = upper + np.triu(upper, 1).swapaxes(1, 2)
+    matrix = np.einsum("nl,nli,nlj->nij", precisions, rays, rays, optimize=True)
+    known = (inverses[:, 0] > 0) & (np.linalg.cond(matrix) < 1e9)
+    matt = np.full_like(matrix, np.nan)
+    matt[known] = np.linalg.inv(matrix[known])
+    normals = scaled / np.linalg.norm(scaled, axis=1, keepdims=True)
+    # Only what lies across a normal turns it.
+    across = [
+        np.trace(one, axis1=1, axis2=2) - np.einsum("nij,ni,nj->n", one, normals, normals)
+        for one in (glossy, matt)
+    ]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(np.sqrt(across[0] / across[1]))
 
 
 def _in_parts(size: int, work: Callable[[int, int], None]) -> None:

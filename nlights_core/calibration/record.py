@@ -109,7 +109,7 @@ def write_calibration(
     answers: TwoAnswers | None,
     noisier: float | None,
 ) -> None:
-    """Write ``calibration.json``, ``height.npy`` of the reduced photographs, and ``uncertainty.npy`` (2, h, w).
+    """Write ``calibration.json``, ``height.npy`` of the reduced photographs, and ``uncertainty.npy`` (3, h, w).
 
     ``missed`` is the share of the samples whose ray misses the photographed flat; ``answers``, how far heights by two
     halves of the lamps differ; ``noisier``, how noisy they are against the flats.
@@ -133,7 +133,7 @@ def write_calibration(
     }
     (folder / "calibration.json").write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
     write_array(folder / "height.npy", found.height)
-    write_array(folder / "uncertainty.npy", np.stack([errors.height, errors.slope]))
+    write_array(folder / "uncertainty.npy", np.stack([errors.height, errors.slope, errors.noisier]))
 
 
 def write_nothing(folder: Path, lamps: int, grid: PixelGrid, noisier: float | None) -> None:
@@ -157,7 +157,7 @@ def write_nothing(folder: Path, lamps: int, grid: PixelGrid, noisier: float | No
     (folder / "calibration.json").write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
     edge = block_edge(grid.columns)
     write_array(folder / "height.npy", np.zeros((grid.rows // edge, grid.columns // edge), np.float32))
-    write_array(folder / "uncertainty.npy", np.full((2, 1, 1), np.nan, np.float32))
+    write_array(folder / "uncertainty.npy", np.full((3, 1, 1), np.nan, np.float32))
 
 
 def read_calibration(folder: Path) -> Known:
@@ -184,5 +184,5 @@ def _answers(record: dict[str, Any] | None) -> TwoAnswers | None:
 
 
 def read_uncertainty(folder: Path) -> Array:
-    """Uncertainty of height (mm) and slope on coarse blocks, (2, h, w) float32."""
+    """Uncertainty of height (mm) and slope, and the factor of the noise, on coarse blocks, (3, h, w) float32."""
     return np.asarray(np.load(folder / "uncertainty.npy"))

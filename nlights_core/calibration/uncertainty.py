@@ -35,6 +35,8 @@ class SmoothErrors(NamedTuple):
         After the best constant, mm.
     slope : (h, w) float32 array
         Of a slope in one direction.
+    noisier : (h, w) float32 array
+        Factor of a normal's own noise, because gloss or rough paint tells more of slopes, or less, than matt paint.
     residual : float
         Smoothed residual beyond noise, rms over the blocks, as a share of the albedo: what the model misses.
     noise : float
@@ -43,6 +45,7 @@ class SmoothErrors(NamedTuple):
 
     height: Array
     slope: Array
+    noisier: Array
     residual: float
     noise: float
 
@@ -79,6 +82,7 @@ def smooth_errors(
     return SmoothErrors(
         (SHARE * np.sqrt(np.maximum(variance + missed, 0))).astype(np.float32),
         (SHARE * np.sqrt(np.maximum(slope + missed_slope, 0))).astype(np.float32),
+        equations.noisier.astype(np.float32),
         smooth_residual(equations),
         smooth_noise(equations),
     )

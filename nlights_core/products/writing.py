@@ -114,8 +114,9 @@ def write_maps(
         Whether that height was integrated along the rays of the camera.
     compression : {"none", "zstd"}
         Of the TIFFs, without loss.
-    shared : (2, h, w) float32 array, optional
-        Uncertainty of height (mm) and slope that neighbours share, on coarse blocks over the whole field.
+    shared : (3, h, w) float32 array, optional
+        Uncertainty of height (mm) and slope that neighbours share, and a factor of the noise of each normal, on
+        coarse blocks over the whole field.
 
     Raises
     ------
@@ -142,7 +143,7 @@ def write_maps(
     progress(0.4)
     tiff(
         folder / "confidence.tif",
-        _uncertainty(maps["confidence"], integrated, places, None if shared is None else shared[1]),
+        _uncertainty(maps["confidence"], integrated, places, shared),
         grid.shape,
         description="Standard uncertainty of the normal, degrees: 68 % of all normals are off by no more; NaN "
         "where not known",
@@ -153,7 +154,7 @@ def write_maps(
     exposure = 1.0 if absolute else _exposure(maps["albedo"])
     write_albedo_view(folder / "albedo_view.tif", maps["albedo"], grid, exposure, compression)
     progress(0.9)
-    for name, rows, description in _heights(maps, grid, places, None if shared is None else shared[0]):
+    for name, rows, description in _heights(maps, grid, places, shared):
         tiff(folder / f"{name}.tif", rows, grid.shape, description=description)
     progress(1.0)
 
@@ -197,22 +198,27 @@ def _normals(
 
 
 def _uncertainty(
-    confidence: Array, integrated: Array | None, places: Sequence[slice], slopes: Array | None
+    confidence: Array, integrated: Array | None, places: Sequence[slice], shared: Array | None
 ) -> Iterator[Array]:
-    """The uncertainty of the normals to be written, band by band."""
-    wide = None if slopes is None else Stretched(np.degrees(COVERING * slopes), confidence.shape)
+    """The uncertainty of the normals to be written, band by band; ``shared`` as for `write_maps`."""
+    wide = None if shared is None else Stretched(np.degrees(COVERING * shared[1]), confidence.shape)
+    noisier = None
+    if shared is not None and (shared[2] != 1).any():
+        noisier = Stretched(shared[2], confidence.shape)
 
     def made(band: slice) -> Array:
         own = np.asarray(confidence[band])
         if integrated is not None:
             own = integrable_uncertainty(confidence, band.start, band.stop)
+        if noisier is not None:
+            own = own * noisier[band]
         return own if wide is None else np.hypot(own, wide[band])
 
     return in_order(made, places)
 
 
 def _heights(
-    maps: Mapping[str, Array], grid: PixelGrid, places: Sequence[slice], coarse: Array | None
+    maps: Mapping[str, Array], grid: PixelGrid, places: Sequence[slice], shared: Array | None
 ) -> Iterator[tuple[str, Iterator[Array], str]]:
     """The maps of heights to be written: name, rows band by band, and description."""
     said = {"height": f"Height in {grid.unit}, its constant free; {FRAME}"}
@@ -220,20 +226,20 @@ def _heights(
         said["trend"] = f"Trend removed from the height, {grid.unit}"
     for name, description in said.items():
         yield name, (np.asarray(maps[name][band]) for band in places), description
-    if coarse is not None:
+    if shared is not None:
         description = (
             f"Standard uncertainty of the height after the best constant, {grid.unit}; NaN where not known"
         )
-        yield "height_uncertainty", _height_uncertainty(maps, grid, coarse, places), description
+        yield "height_uncertainty", _height_uncertainty(maps, grid, shared, places), description
 
 
 def _height_uncertainty(
-    maps: Mapping[str, Array], grid: PixelGrid, coarse: Array, places: Sequence[slice]
+    maps: Mapping[str, Array], grid: PixelGrid, shared: Array, places: Sequence[slice]
 ) -> Iterator[Array]:
     """The uncertainty of the height, band by band: what neighbours share, and noise through the integrator."""
     values = sampled(maps["confidence"])
     noise = height_noise(float(np.median(values)), grid) if values.size else 0.0
-    wide = Stretched(np.hypot(coarse, noise), grid.shape)
+    wide = Stretched(np.hypot(shared[0], noise * float(np.median(shared[2]))), grid.shape)
     return (np.where(np.isnan(maps["height"][band]), np.float32(np.nan), wide[band]) for band in places)
 
 

@@ -33,8 +33,8 @@ def of_calibration(known: Known | None, uncertainty: Array | None) -> list[Numbe
     ----------
     known : Known or None
         None: to list the numbers only.
-    uncertainty : (2, h, w) array or None
-        Of height and slope, on coarse blocks.
+    uncertainty : (3, h, w) array or None
+        Of height and slope, and the factor of the noise, on coarse blocks.
     """
     return [
         *_level(known, uncertainty),

@@ -32,7 +32,7 @@ def test_what_all_share_is_read_back_as_it_was_written(varnished, tmp_path):
     assert (known.answers, known.noisier) == (ANSWERS, 1.1)
     np.testing.assert_array_equal(np.load(tmp_path / "height.npy"), scene.found.height)
     np.testing.assert_array_equal(
-        read_uncertainty(tmp_path), np.stack([scene.errors.height, scene.errors.slope])
+        read_uncertainty(tmp_path), np.stack([scene.errors.height, scene.errors.slope, scene.errors.noisier])
     )
 
 
