@@ -12,6 +12,7 @@ import scipy
 from accuracy_integration import depths, surfaces
 from accuracy_photographs import diligent, strengths
 from accuracy_simulations import simulations
+from accuracy_troubles import coverage, troubles
 from tables import write
 
 import nlights_core
@@ -19,6 +20,8 @@ import nlights_core
 DOCS = Path(__file__).parents[1] / "docs"
 SECTIONS = {
     "simulations": simulations,
+    "troubles": troubles,
+    "coverage": coverage,
     "diligent": diligent,
     "strengths": strengths,
     "surfaces": surfaces,
