@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import tempfile
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,6 +26,8 @@ from nlights_flows.tiles.running import run_directly
 KEPT = Path("accuracy-captures.jsonl")
 """Figures of each capture, written as it ends, in the current folder.  A run that was cut off goes on from there;
 delete the file to measure anew, as after a change of the code."""
+WORKERS = 2
+"""Captures measured at a time."""
 SCENES = (
     ("painting", "horizontal"),
     ("drawing", "vertical-dark"),
@@ -46,7 +50,7 @@ class Case(NamedTuple):
 
 
 class Capture(NamedTuple):
-    """What is simulated and with which recipe it is digitised: ``default``, ``aligned`` or ``before``."""
+    """What is simulated and with which recipe it is digitised: ``default``, ``aligned`` or ``without``."""
 
     case: Case
     scene: str
@@ -128,30 +132,34 @@ COVERAGE_COLUMNS = (
 
 def troubles(quick: bool) -> list[Table]:
     """Table ``troubles``: a painting with one trouble each, without and with the calibration."""
-    width, seed = (120, 11) if quick else (400, 11)
+    width, cases = (120, TROUBLES[:2]) if quick else (400, TROUBLES)
+    captures = [
+        Capture(case, "painting", case.stand, width, 11, recipe)
+        for case in cases
+        for recipe in ("without", _recipe_of(case))
+    ]
+    found = figures(captures, quick)
     rows: list[tuple[Cell, ...]] = []
-    for case in TROUBLES[:2] if quick else TROUBLES:
-        before, now = (
-            figures(Capture(case, "painting", case.stand, width, seed, recipe), quick)
-            for recipe in ("before", _recipe_of(case))
-        )
+    for case, without, now in zip(cases, found[::2], found[1::2], strict=True):
         codes = ", ".join(f"`{code}`" for code in dict.fromkeys(now["codes"]))
         rows.append(
-            (case.title, before["height_rms_mm"], now["height_rms_mm"], now["height_coverage"], codes)
+            (case.title, without["height_rms_mm"], now["height_rms_mm"], now["height_coverage"], codes)
         )
     return [Table("troubles", TROUBLE_COLUMNS, rows)]
 
 
 def coverage(quick: bool) -> list[Table]:
-    """Table ``coverage``: seeds in turn, so that a run that was cut off has as many of each trouble."""
-    width, seeds = (120, SEEDS[:1]) if quick else (360, SEEDS)
-    found: dict[str, list[Figures]] = {}
-    for seed in seeds:
-        scene, stand = SCENES[seed % len(SCENES)]
-        for case in COVERED[:2] if quick else COVERED:
-            capture = Capture(case, scene, stand, width, seed, _recipe_of(case))
-            found.setdefault(case.title, []).append(figures(capture, quick))
-    return [Table("coverage", COVERAGE_COLUMNS, [_pooled(title, of) for title, of in found.items()])]
+    """Table ``coverage``: how many of the errors are within their uncertainty, over scenes, stands and seeds."""
+    width, seeds, cases = (120, SEEDS[:1], COVERED[:2]) if quick else (360, SEEDS, COVERED)
+    captures = [
+        Capture(case, *SCENES[seed % len(SCENES)], width, seed, _recipe_of(case))
+        for seed in seeds
+        for case in cases
+    ]
+    found = figures(captures, quick)
+    # One seed after the other, so that each trouble has every so many-th capture.
+    rows = [_pooled(case.title, found[k :: len(cases)]) for k, case in enumerate(cases)]
+    return [Table("coverage", COVERAGE_COLUMNS, rows)]
 
 
 def _recipe_of(case: Case) -> str:
@@ -191,24 +199,30 @@ def confidently_wrong(found: Figures) -> bool:
     return not found["codes"] and not (covers and level)
 
 
-def figures(capture: Capture, quick: bool) -> Figures:
-    """Figures of a capture, measured or as they were kept."""
-    if not quick and KEPT.exists():
-        lines = (json.loads(line) for line in KEPT.read_text(encoding="utf-8").splitlines())
-        kept = {line["capture"]: line["figures"] for line in lines}
-        if capture.key() in kept:
-            print(f"  {capture.case.title}, seed {capture.seed}, {capture.recipe}: kept", flush=True)
-            return dict(kept[capture.key()])
-    found = measured(capture)
+def figures(captures: list[Capture], quick: bool) -> list[Figures]:
+    """Figures of captures, measured some at a time or as they were kept; see `KEPT`."""
+    found = {} if quick else _kept()
+    missing = [capture for capture in captures if capture.key() not in found]
     print(
-        f"  {capture.case.title}, seed {capture.seed}, {capture.recipe}: {found['height_rms_mm']:.4f} mm, covered"
-        f" {found['normals_coverage']:.2f} {found['height_coverage']:.2f} {' '.join(found['codes'])}",
-        flush=True,
+        f"  {len(captures) - len(missing)} captures are kept in {KEPT}, {len(missing)} to measure", flush=True
     )
-    if not quick:
-        with KEPT.open("a", encoding="utf-8") as file:
-            file.write(json.dumps({"capture": capture.key(), "figures": found}) + "\n")
-    return found
+    # Processes of their own, not forks: a fork of a process whose kernels have threads may hang.
+    with ProcessPoolExecutor(WORKERS, get_context("spawn")) as pool:
+        for capture, new in zip(missing, pool.map(measured, missing), strict=True):
+            found[capture.key()] = new
+            said = f"{new['normals_coverage']:.2f} {new['height_coverage']:.2f} {' '.join(new['codes'])}"
+            print(f"  {capture.case.title}, seed {capture.seed}, {capture.recipe}:", end=" ")
+            print(f"{new['height_rms_mm']:.4f} mm, covered {said}", flush=True)
+            if not quick:
+                with KEPT.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps({"capture": capture.key(), "figures": new}) + "\n")
+    return [found[capture.key()] for capture in captures]
+
+
+def _kept() -> dict[str, Figures]:
+    """Figures by their capture's key."""
+    lines = KEPT.read_text(encoding="utf-8").splitlines() if KEPT.exists() else []
+    return {record["capture"]: record["figures"] for record in map(json.loads, lines)}
 
 
 def measured(capture: Capture) -> Figures:
@@ -249,12 +263,12 @@ def measured(capture: Capture) -> Figures:
 
 
 def recipe(name: str) -> Recipe:
-    """The default recipe; ``aligned``: with shifts; ``before``: as it was before it had a calibration."""
+    """The default recipe; ``aligned``: with shifts; ``without``: no calibration, near light by three passes."""
     default = load_recipe("default")
     assert default.calibration is not None
     changes: dict[str, dict[str, Any]] = {
         "default": {},
         "aligned": {"calibration": default.calibration.model_copy(update={"align": True})},
-        "before": {"calibration": None, "passes": 3},
+        "without": {"calibration": None, "passes": 3},
     }
     return default.model_copy(update={"name": name, **changes[name]})
