@@ -31,7 +31,7 @@ from nlights_core.simulation.captures import (
     expose,
     set_up,
 )
-from nlights_core.simulation.illumination import LampGroup, horizon
+from nlights_core.simulation.illumination import LampGroup
 from nlights_core.simulation.surfaces import Surface, bow, plane, seen_points, wave
 from nlights_core.stands import Stand
 
@@ -102,6 +102,26 @@ class LampNow(NamedTuple):
     shift_px: Array
 
 
+class View(NamedTuple):
+    """The artwork as the camera sees it.
+
+    Attributes
+    ----------
+    points, normals : (3, h, w) float64 arrays
+        mm; unit.
+    x, y : (h, w) float64 arrays
+        Where on the artwork these points are, mm.
+    albedo : (h, w, 3) float64 array
+        There.
+    """
+
+    points: Array
+    normals: Array
+    x: Array
+    y: Array
+    albedo: Array
+
+
 class Photograph(NamedTuple):
     """A lamp's photograph before exposure, (h, w, 3) float64: all its light, and that of body colours alone."""
 
@@ -138,13 +158,13 @@ def simulate_troubled(
     artwork = studio.scene.surface + plane(level=trouble.level_mm)
     studio = replace(studio, scene=replace(studio.scene, surface=artwork))
     leaf = gilding(trouble.gilded, stand.field_mm, seed) if trouble.gilded else None
-    flats = [_flat(studio, group, trouble) for group in studio.groups]
-    mean = float(np.mean(flats))
-    room = trouble.room * mean / FLAT_ALBEDO
-    flats = [flat + _room_light(studio, _flat_surface(studio, trouble), FLAT_ALBEDO, room) for flat in flats]
-    lamps = changed_lamps(studio.groups, trouble, seed)
-    frames = [photograph(studio, lamp, trouble.paint, leaf, room) for lamp in lamps]
-    veil = trouble.additive * mean
+    flats, mean = _flats(studio, trouble)
+    room, veil = trouble.room * mean / FLAT_ALBEDO, trouble.additive * mean
+    still = look(studio, np.zeros(2))
+    frames = []
+    for k, lamp in enumerate(changed_lamps(studio.groups, trouble, seed)):
+        view = look(studio, lamp.shift_px) if trouble.moved_px else still
+        frames.append(photograph(studio, k, lamp, view, trouble.paint, leaf, room))
     brightest = max(*(float(f.body.max()) for f in frames), *(float(f.max()) for f in flats))
     gain = EXPOSURE / (brightest + veil)
     (folder / "flat").mkdir(parents=True)
@@ -155,7 +175,7 @@ def simulate_troubled(
         tifffile.imwrite(folder / "flat" / f"light_{k + 1}.tif", taken, photometric="rgb")
     dark = _exposed(np.zeros_like(flats[0]), gain, _chance(seed, "dark"), FLATS_AVERAGED)
     tifffile.imwrite(folder / "dark.tif", dark, photometric="rgb")
-    _write_truth(studio, leaf, folder / "truth")
+    _write_truth(still, leaf, folder / "truth")
     text = yaml.safe_dump(_manifest(stand, scene, trouble, seed), sort_keys=False)
     (folder / "artwork.yaml").write_text(text, encoding="utf-8")
     return folder / "artwork.yaml"
@@ -217,8 +237,22 @@ def gilding(share: float, size: tuple[float, float], seed: int) -> Surface:
     return waves + plane(level=-float(np.quantile(waves.height(x, y), 1 - share)))
 
 
+def look(studio: Studio, shift_px: Array) -> View:
+    """The artwork as the camera sees it, moved in its plane by so many pixels to the right and down."""
+    across, up = shift_px * (studio.grid.pixel_size, -studio.grid.pixel_size)
+    points, normals = _seen(shifted(studio.scene.surface, across, up), studio)
+    x, y = points[0] - across, points[1] - up
+    return View(points, normals, x, y, studio.scene.albedo(x, y))
+
+
 def photograph(
-    studio: Studio, lamp: LampNow, paint: Paint = MATT, leaf: Surface | None = None, room: float = 0.0
+    studio: Studio,
+    k: int,
+    lamp: LampNow,
+    view: View,
+    paint: Paint = MATT,
+    leaf: Surface | None = None,
+    room: float = 0.0,
 ) -> Photograph:
     """The artwork under one lamp, as the lens receives it.
 
@@ -226,8 +260,12 @@ def photograph(
     ----------
     studio : Studio
         The artwork and the camera.
+    k : int
+        Which of the studio's lamps.
     lamp : LampNow
         As it is now.
+    view : View
+        The artwork where it was for this photograph.
     paint : Paint
         Of the artwork.
     leaf : Surface, optional
@@ -235,47 +273,46 @@ def photograph(
     room : float
         Irradiance by the light of the room.
     """
-    grid, camera = studio.grid, np.array(studio.grid.camera)
-    across, up = lamp.shift_px * (grid.pixel_size, -grid.pixel_size)
-    surface = shifted(studio.scene.surface, across, up)
-    points = seen_points(surface, grid)
-    normals = np.moveaxis(surface.normals(points[0], points[1]), -1, 0)
-    x, y = points[0] - across, points[1] - up
-    skyline = horizon(surface, grid, lamp.group.centre).at(points[0], points[1])
-    albedo = studio.scene.albedo(x, y)
-    matt, gloss = reflected(paint, lamp.group, points, normals, camera, skyline)
-    body = matt * albedo
+    camera = np.array(studio.grid.camera)
+    # A cast shadow moves with the artwork: for a lamp, a pixel is no other direction.
+    skyline = studio.horizons[k].at(view.x, view.y)
+    lit = (lamp.group, view.points, view.normals, camera, skyline)
+    matt, gloss = reflected(paint, *lit)
+    body = matt * view.albedo
     light = body + gloss
     if leaf is not None:
-        gilded = (leaf.height(x, y) > 0)[..., None]
-        light = np.where(gilded, reflected(GOLD, lamp.group, points, normals, camera, skyline)[1], light)
+        gilded = (leaf.height(view.x, view.y) > 0)[..., None]
+        light = np.where(gilded, reflected(GOLD, *lit)[1], light)
         body = np.where(gilded, 0, body)
-    lens = studio.vignetting(0, grid.rows) * lamp.factor
-    around = _room_light(studio, surface, albedo, room)
-    return Photograph(light * lens + around, body * lens + around)
+    lens = studio.vignetting(0, studio.grid.rows)
+    around = room * _openness(view.normals) * view.albedo * lens
+    return Photograph(light * lens * lamp.factor + around, body * lens * lamp.factor + around)
 
 
-def _flat_surface(studio: Studio, trouble: Trouble) -> Surface:
+def _seen(surface: Surface, studio: Studio) -> tuple[Array, Array]:
+    """Points and normals of a surface in the pixels, (3, h, w) each."""
+    points = seen_points(surface, studio.grid)
+    return points, np.moveaxis(surface.normals(points[0], points[1]), -1, 0)
+
+
+def _openness(normals: Array) -> Array:
+    """Share of a hemisphere, as bright everywhere, that shines on a surface, (h, w, 1)."""
+    return np.asarray((1 + normals[2]) / 2)[..., None]
+
+
+def _flats(studio: Studio, trouble: Trouble) -> tuple[list[Array], float]:
+    """The flat under each lamp and the room, as the lens receives it, (h, w, 3) each; mean of the lamps' light."""
     grid = studio.grid
-    return bow(trouble.flat_sag_mm, grid.columns * grid.pixel_size, grid.rows * grid.pixel_size)
-
-
-def _flat(studio: Studio, group: LampGroup, trouble: Trouble) -> Array:
-    """The flat under one lamp, as the lens receives it, (h, w, 3)."""
-    surface = _flat_surface(studio, trouble)
-    points = seen_points(surface, studio.grid)
-    normals = np.moveaxis(surface.normals(points[0], points[1]), -1, 0)
-    matt, gloss = reflected(trouble.flat_paint, group, points, normals, np.array(studio.grid.camera))
-    return np.asarray((matt * np.full(3, FLAT_ALBEDO) + gloss) * studio.vignetting(0, studio.grid.rows))
-
-
-def _room_light(studio: Studio, surface: Surface, albedo: Array | float, room: float) -> Array | float:
-    """What a surface reflects of a hemisphere as bright everywhere, as the lens receives it."""
-    if not room:
-        return 0.0
-    points = seen_points(surface, studio.grid)
-    open_share = (1 + surface.normals(points[0], points[1])[..., 2:]) / 2
-    return np.asarray(room * open_share * albedo * studio.vignetting(0, studio.grid.rows))
+    sag = trouble.flat_sag_mm
+    points, normals = _seen(bow(sag, grid.columns * grid.pixel_size, grid.rows * grid.pixel_size), studio)
+    camera, lens = np.array(grid.camera), studio.vignetting(0, grid.rows)
+    flats = []
+    for group in studio.groups:
+        matt, gloss = reflected(trouble.flat_paint, group, points, normals, camera)
+        flats.append((matt * np.full(3, FLAT_ALBEDO) + gloss) * lens)
+    mean = float(np.mean(flats))
+    around = trouble.room * mean * _openness(normals) * lens
+    return [flat + around for flat in flats], mean
 
 
 def _exposed(light: Array, gain: float, random: Generator, count: int = 1) -> Array:
@@ -285,13 +322,12 @@ def _exposed(light: Array, gain: float, random: Generator, count: int = 1) -> Ar
     return np.asarray(np.rint(total / count), np.uint16)
 
 
-def _write_truth(studio: Studio, leaf: Surface | None, folder: Path) -> None:
-    """Normals and heights of the artwork where it was; NaN on gold and within two pixels of it."""
-    points, normals, _ = studio.truth(0, studio.grid.rows)
-    height = points[2]
+def _write_truth(view: View, leaf: Surface | None, folder: Path) -> None:
+    """Normals and heights of the artwork; NaN on gold and within two pixels of it."""
+    height, normals = view.points[2].copy(), np.moveaxis(view.normals, 0, -1).copy()
     if leaf is not None:
-        aside = binary_dilation(leaf.height(points[0], points[1]) > 0, iterations=2)
-        height, normals = np.where(aside, np.nan, height), np.where(aside[..., None], np.nan, normals)
+        aside = binary_dilation(leaf.height(view.x, view.y) > 0, iterations=2)
+        height[aside], normals[aside] = np.nan, np.nan
     folder.mkdir()
     tifffile.imwrite(folder / "height.tif", height.astype(np.float32))
     tifffile.imwrite(folder / "normals.tif", normals.astype(np.float32), photometric="rgb")
