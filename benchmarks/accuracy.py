@@ -33,7 +33,7 @@ SECTIONS = {
 def main() -> None:
     """Run the sections one after another; each writes its tables as soon as it has them."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="one seed, 300 pixels wide, one object")
+    parser.add_argument("--quick", action="store_true", help="one seed, small photographs, one object")
     parser.add_argument("--only", choices=SECTIONS, help="run this section and leave the other tables")
     parser.add_argument(
         "--out", type=Path, help="folder of accuracy.md and accuracy.json; docs, unless --quick is given"

@@ -31,7 +31,7 @@ from nlights_core.simulation.captures import (
     expose,
     set_up,
 )
-from nlights_core.simulation.illumination import LampGroup
+from nlights_core.simulation.illumination import Horizon, LampGroup
 from nlights_core.simulation.surfaces import Surface, bow, plane, seen_points, wave
 from nlights_core.stands import Stand
 
@@ -92,12 +92,22 @@ class Trouble:
 
 
 class LampNow(NamedTuple):
-    """A lamp when the artwork is photographed: its group, its factor since the flats, its photograph's shift.
+    """A lamp when the artwork is photographed.
 
-    ``shift_px`` is (2,): to the right and down.
+    Attributes
+    ----------
+    group : LampGroup
+        How it shines but for its strength.
+    shadows : Horizon
+        What the artwork casts.
+    factor : float
+        Of its strength since the flats.
+    shift_px : (2,) float64 array
+        Of its photograph, to the right and down.
     """
 
     group: LampGroup
+    shadows: Horizon
     factor: float
     shift_px: Array
 
@@ -162,12 +172,24 @@ def simulate_troubled(
     room, veil = trouble.room * mean / FLAT_ALBEDO, trouble.additive * mean
     still = look(studio, np.zeros(2))
     frames = []
-    for k, lamp in enumerate(changed_lamps(studio.groups, trouble, seed)):
+    for lamp in changed_lamps(studio, trouble, seed):
         view = look(studio, lamp.shift_px) if trouble.moved_px else still
-        frames.append(photograph(studio, k, lamp, view, trouble.paint, leaf, room))
+        frames.append(photograph(studio, lamp, view, trouble.paint, leaf, room))
+    folder.mkdir(parents=True)
+    _write_photographs(folder, frames, flats, veil, seed)
+    _write_truth(still, leaf, folder / "truth")
+    text = yaml.safe_dump(_manifest(stand, scene, trouble, seed), sort_keys=False)
+    (folder / "artwork.yaml").write_text(text, encoding="utf-8")
+    return folder / "artwork.yaml"
+
+
+def _write_photographs(
+    folder: Path, frames: list[Photograph], flats: list[Array], veil: float, seed: int
+) -> None:
+    """Expose all for the brightest matt pixel; the veil lies on all but the dark frame."""
     brightest = max(*(float(f.body.max()) for f in frames), *(float(f.max()) for f in flats))
     gain = EXPOSURE / (brightest + veil)
-    (folder / "flat").mkdir(parents=True)
+    (folder / "flat").mkdir()
     for k, (frame, flat) in enumerate(zip(frames, flats, strict=True)):
         taken = _exposed(frame.light + veil, gain, _chance(seed, f"frame {k}"))
         tifffile.imwrite(folder / f"light_{k + 1}.tif", taken, photometric="rgb")
@@ -175,10 +197,6 @@ def simulate_troubled(
         tifffile.imwrite(folder / "flat" / f"light_{k + 1}.tif", taken, photometric="rgb")
     dark = _exposed(np.zeros_like(flats[0]), gain, _chance(seed, "dark"), FLATS_AVERAGED)
     tifffile.imwrite(folder / "dark.tif", dark, photometric="rgb")
-    _write_truth(still, leaf, folder / "truth")
-    text = yaml.safe_dump(_manifest(stand, scene, trouble, seed), sort_keys=False)
-    (folder / "artwork.yaml").write_text(text, encoding="utf-8")
-    return folder / "artwork.yaml"
 
 
 def _chance(seed: int, purpose: str) -> Generator:
@@ -186,9 +204,9 @@ def _chance(seed: int, purpose: str) -> Generator:
     return default_rng([seed, zlib.crc32(purpose.encode())])
 
 
-def changed_lamps(groups: list[LampGroup], trouble: Trouble, seed: int) -> list[LampNow]:
+def changed_lamps(studio: Studio, trouble: Trouble, seed: int) -> list[LampNow]:
     """The lamps and the photographs' shifts, as the trouble changes them after the flats."""
-    count = len(groups)
+    groups, count = studio.groups, len(studio.groups)
     factors = np.array(trouble.factors or (1.0,) * count)
     factors = factors * (1 + trouble.drift * _chance(seed, "drift").standard_normal(count))
     factors[_chance(seed, "brighter").integers(count)] *= trouble.brighter
@@ -198,7 +216,7 @@ def changed_lamps(groups: list[LampGroup], trouble: Trouble, seed: int) -> list[
     if trouble.aim_deg:
         random = _chance(seed, "aim")
         groups = [_turned(group, trouble.aim_deg, random) for group in groups]
-    return [LampNow(*lamp) for lamp in zip(groups, factors, shifts, strict=True)]
+    return [LampNow(*lamp) for lamp in zip(groups, studio.horizons, factors, shifts, strict=True)]
 
 
 def _turned(group: LampGroup, degrees: float, random: Generator) -> LampGroup:
@@ -247,7 +265,6 @@ def look(studio: Studio, shift_px: Array) -> View:
 
 def photograph(
     studio: Studio,
-    k: int,
     lamp: LampNow,
     view: View,
     paint: Paint = MATT,
@@ -260,8 +277,6 @@ def photograph(
     ----------
     studio : Studio
         The artwork and the camera.
-    k : int
-        Which of the studio's lamps.
     lamp : LampNow
         As it is now.
     view : View
@@ -275,7 +290,7 @@ def photograph(
     """
     camera = np.array(studio.grid.camera)
     # A cast shadow moves with the artwork: for a lamp, a pixel is no other direction.
-    skyline = studio.horizons[k].at(view.x, view.y)
+    skyline = lamp.shadows.at(view.x, view.y)
     lit = (lamp.group, view.points, view.normals, camera, skyline)
     matt, gloss = reflected(paint, *lit)
     body = matt * view.albedo
