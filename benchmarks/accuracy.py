@@ -12,6 +12,7 @@ import scipy
 from accuracy_integration import depths, surfaces
 from accuracy_photographs import diligent, strengths
 from accuracy_simulations import simulations
+from accuracy_troubles import coverage, troubles
 from tables import write
 
 import nlights_core
@@ -19,6 +20,8 @@ import nlights_core
 DOCS = Path(__file__).parents[1] / "docs"
 SECTIONS = {
     "simulations": simulations,
+    "troubles": troubles,
+    "coverage": coverage,
     "diligent": diligent,
     "strengths": strengths,
     "surfaces": surfaces,
@@ -30,7 +33,7 @@ SECTIONS = {
 def main() -> None:
     """Run the sections one after another; each writes its tables as soon as it has them."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="one seed, 300 pixels wide, one object")
+    parser.add_argument("--quick", action="store_true", help="one seed, small photographs, one object")
     parser.add_argument("--only", choices=SECTIONS, help="run this section and leave the other tables")
     parser.add_argument(
         "--out", type=Path, help="folder of accuracy.md and accuracy.json; docs, unless --quick is given"
