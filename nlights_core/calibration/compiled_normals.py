@@ -39,7 +39,7 @@ from nlights_core.calibration.compiled_highlights import (
 from nlights_core.calibration.compiled_reflectance import CLOSE, F0, LOBE_SCALE
 from nlights_core.frames import Array
 from nlights_core.photographs.blocks import BLOCK, ONE, USABLE, VALUE, ZERO, X, Y, Z, inner
-from nlights_core.solving.compiled_fits import DETERMINANT, MATRIX, RIGHT, invert_normal_matrices
+from nlights_core.solving.compiled_fits import DETERMINANT, MATRIX, RIGHT, add_square, invert_normal_matrices
 from nlights_core.solving.compiled_fits import SCALED as STEP
 
 # Of the pixels of a block, in an array (STATE,): point of the surface; value up to which a sample is in shadow; 1
@@ -190,14 +190,9 @@ def _weigh(
 @inner
 def _add(fit: Array, p: int, weight: Any, value: Any, x: Any, y: Any, z: Any) -> None:
     """Add a sample, or its residual, to the equations of its pixel."""
-    # `add_sample` of `compiled_fits` rounds otherwise, and sums that both share round differently after inlining.
+    # `add_sample` multiplies the right-hand side in another order: so only the matrix is shared with it.
     wx, wy, wz = weight * x, weight * y, weight * z
-    fit[MATRIX + p] += wx * x
-    fit[MATRIX + BLOCK + p] += wx * y
-    fit[MATRIX + 2 * BLOCK + p] += wx * z
-    fit[MATRIX + 3 * BLOCK + p] += wy * y
-    fit[MATRIX + 4 * BLOCK + p] += wy * z
-    fit[MATRIX + 5 * BLOCK + p] += wz * z
+    add_square(fit, p, wx, wy, wz, x, y, z)
     fit[RIGHT + p] += wx * value
     fit[RIGHT + BLOCK + p] += wy * value
     fit[RIGHT + 2 * BLOCK + p] += wz * value

@@ -95,16 +95,21 @@ def add_sample(of: Array, fit: Array, p: int) -> None:
     x, y, z = of[X + p], of[Y + p], of[Z + p]
     weight = of[TRIAL + p]
     right = weight * of[VALUE + p]
-    wx, wy, wz = weight * x, weight * y, weight * z
+    add_square(fit, p, weight * x, weight * y, weight * z, x, y, z)
+    fit[RIGHT + p] += right * x
+    fit[RIGHT + BLOCK + p] += right * y
+    fit[RIGHT + 2 * BLOCK + p] += right * z
+
+
+@numba.njit(inline="always")
+def add_square(fit: Array, p: int, wx: Any, wy: Any, wz: Any, x: Any, y: Any, z: Any) -> None:
+    """Add a sample's derivatives to the normal matrix of its pixel; ``wx`` and so on are the weighted ones."""
     fit[MATRIX + p] += wx * x
     fit[MATRIX + BLOCK + p] += wx * y
     fit[MATRIX + 2 * BLOCK + p] += wx * z
     fit[MATRIX + 3 * BLOCK + p] += wy * y
     fit[MATRIX + 4 * BLOCK + p] += wy * z
     fit[MATRIX + 5 * BLOCK + p] += wz * z
-    fit[RIGHT + p] += right * x
-    fit[RIGHT + BLOCK + p] += right * y
-    fit[RIGHT + 2 * BLOCK + p] += right * z
 
 
 @inner
