@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -49,6 +50,17 @@ def shifts_by_lamp(folder: Path) -> dict[str, Shift]:
         lamp: Shift(right, down, tuple(tuple(row) for row in light))
         for lamp, (right, down, light) in record["shifts"].items()
     }
+
+
+def noise_left(shifts: Iterable[Shift]) -> float:
+    """Standard deviation of noise in photographs brought back, as a share of what it was, rms over the photographs.
+
+    A value between samples is a mean of several: half a pixel aside each way, 0.57 of the variance is left.
+    """
+    left = [
+        float(np.prod([np.sum(_weights(_parted(move)[1]) ** 2) for move in shift[:2]])) for shift in shifts
+    ]
+    return float(np.sqrt(np.mean(left)))
 
 
 class ShiftedPhotograph(Photograph):

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
 from nlights_core.calibration.correction import unreached
 from nlights_core.calibration.fitting import calibrate
 from nlights_core.calibration.record import NOISIER, write_calibration, write_nothing
@@ -15,6 +17,7 @@ from nlights_core.near_light.overview import reduced_room
 from nlights_core.photographs.development import Darkroom, darkroom
 from nlights_core.photographs.flat_fields import read_flat_field
 from nlights_core.photographs.noise import Noise, measure_noise_between_lamps, read_noise, write_noise
+from nlights_core.photographs.shifted import noise_left
 from nlights_core.stages.inputs import facts_of_photographs, read_lights, shifts_of, with_mask
 from nlights_core.store import ArtefactRef, Store, Work, describe
 
@@ -63,6 +66,8 @@ def calibration(
         missed = unreached(small.grid, found.height, field)
         answers = compare_halves(small, field, divisor, found)
         errors = smooth_errors(found, field, small.grid, positions)
+        if shifts:
+            errors = errors._replace(noisier=errors.noisier * np.float32(noise_left(shifts.values())))
         write_calibration(folder, found, errors, missed, answers, noisier)
 
     return Work(ref, record, make)

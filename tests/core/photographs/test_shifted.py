@@ -6,7 +6,7 @@ import tifffile
 
 from nlights_core.capture import Encoding
 from nlights_core.photographs.images import Photograph, is_saturated
-from nlights_core.photographs.shifted import Shift, ShiftedPhotograph
+from nlights_core.photographs.shifted import Shift, ShiftedPhotograph, noise_left
 
 ROWS, COLUMNS = 60, 80
 
@@ -35,6 +35,15 @@ def test_a_picture_comes_back_to_where_it_was(tmp_path, right, down):
         found = photograph.band(0, ROWS)[..., 0]
     inside = (slice(12, -12), slice(12, -12))
     np.testing.assert_allclose(found[inside], picture()[inside], atol=1e-3)
+
+
+@pytest.mark.parametrize(("right", "down"), [(0.5, 0.5), (2.0, -1.0), (0.3, 1.1)])
+def test_noise_is_left_as_is_said(tmp_path, right, down):
+    noise = np.random.default_rng(2).normal(0.5, 0.01, (200, 220)).astype(np.float32)
+    shift = Shift(right, down)
+    with brought_back(write(tmp_path, "a.tif", noise), shift) as photograph:
+        found = photograph.band(0, 200)[12:-12, 12:-12, 0]
+    assert found.std() == pytest.approx(0.01 * noise_left([shift]), rel=0.02)
 
 
 def test_strips_give_the_same_bytes(tmp_path):
