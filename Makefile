@@ -20,8 +20,8 @@ faults: $(READY) ## nights that are killed, KILLS of them, and other faults (som
 	$(PYTHON_IN)/python deploy/fault_conditions.py
 	$(PYTHON_IN)/python deploy/fault_kills.py --kills $(KILLS) $(OPTIONS)
 
-test: $(READY) ## all tests
-	$(PYTHON_IN)/python -m pytest
+test: $(READY) ## all tests, on up to four cores; each file's one after the other
+	$(PYTHON_IN)/python -m pytest --numprocesses auto --maxprocesses 4 --dist loadfile
 
 lint: $(READY) ## style, types, layers
 	$(PYTHON_IN)/ruff check .
