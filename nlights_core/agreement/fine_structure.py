@@ -32,6 +32,9 @@ TINY = 1e-30
 NEAR = 20
 """How far from every shadow that is seen a tile is clear of the steep step that casts it, px."""
 
+EVEN = np.float32(0.1)
+"""Least typical disagreement of a tile, as a share of that of all: below, weights would be those of noise."""
+
 UNKNOWN = 0.3
 """A lamp of whose tile more than this share is not known is left out there."""
 
@@ -97,7 +100,9 @@ class FineStructure:
         return np.asarray(self.products[:, :count, :count].sum(axis=(1, 2)))
 
 
-def fine_structure(details: Sequence[Detail], around: Surroundings, moves: Array) -> FineStructure:
+def fine_structure(
+    details: Sequence[Detail], around: Surroundings, moves: Array, robust: bool = False
+) -> FineStructure:
     """Sum the products of details of one size.
 
     Parameters
@@ -106,12 +111,14 @@ def fine_structure(details: Sequence[Detail], around: Surroundings, moves: Array
     around : Surroundings
     moves : (L, 2) array
         Movement right and down that is taken back before, px.
+    robust : bool
+        Whether samples that the photographs disagree about much, as they do about highlights, have little say.
 
     Returns
     -------
     FineStructure
     """
-    parts = [_of_detail(detail, around, moves) for detail in details]
+    parts = [_of_detail(detail, around, moves, robust) for detail in details]
     return join(parts)
 
 
@@ -122,7 +129,7 @@ def join(parts: Sequence[FineStructure]) -> FineStructure:
     )
 
 
-def _of_detail(detail: Detail, around: Surroundings, moves: Array) -> FineStructure:
+def _of_detail(detail: Detail, around: Surroundings, moves: Array, robust: bool) -> FineStructure:
     count, height, width = detail.images.shape
     pixels = moves / detail.scale
     margin = int(np.ceil(np.abs(pixels).max()))
@@ -178,15 +185,26 @@ def _of_detail(detail: Detail, around: Surroundings, moves: Array) -> FineStruct
     clear = np.all(near, axis=1)
     some = np.flatnonzero((included.sum(axis=1) >= FEWEST) & tiles.any(axis=(1, 2, 3)))
     flat = tiles[some].reshape(len(some), 3 * count, high * wide)
+    vectors = around.vectors(y[some], x[some])
+    freedom = unexplained(vectors.astype(float), included[some].T.astype(float))
+    if robust and len(some):
+        flat *= _trust(flat[:, :count], freedom)[:, None]
     grams = (flat @ flat.swapaxes(1, 2)).astype(float)
     grams[:, count:] *= 0.5  # central differences are over two samples
     grams[:, :, count:] *= 0.5
-    vectors = around.vectors(y[some], x[some])
-    freedom = unexplained(vectors.astype(float), included[some].T.astype(float))
     places = np.stack([y[some], x[some]], axis=1)
     sizes = np.full(len(tiles), float(high * wide)) if known is None else usable.sum(axis=1).astype(float)
     products = grams * np.tile(freedom, (1, 3, 3))
     return FineStructure(products, grams[:, :count, :count], freedom, places, sizes[some], clear[some])
+
+
+def _trust(tiles: Array, freedom: Array) -> Array:
+    """Square roots of the weights of the samples (T, N) of tiles (T, L, N), by what the lamps leave unexplained."""
+    squares = ((freedom.astype(np.float32) @ tiles) ** 2).sum(axis=1)
+    typical = np.median(squares, axis=1, keepdims=True)
+    # A tile in which nearly all is explained has no highlights.
+    typical = np.maximum(typical, EVEN * float(np.median(squares)) + np.float32(TINY))
+    return np.asarray(1 / np.sqrt(1 + squares / typical))
 
 
 def brought_back(detail: Detail, moves: Array) -> Detail:

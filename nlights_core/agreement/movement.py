@@ -10,8 +10,8 @@ import numpy as np
 
 from nlights_core.agreement.details import Detail, Surroundings
 from nlights_core.agreement.explanations import Misfit
-from nlights_core.agreement.fine_structure import FineStructure, brought_back, fine_structure, join
-from nlights_core.agreement.gloss import without_gloss
+from nlights_core.agreement.fine_structure import FineStructure, fine_structure, join
+from nlights_core.agreement.weighed_structures import Known, clearest_structures, misfit_of, weighed_structure
 from nlights_core.frames import Array
 
 LEAST = 0.35
@@ -29,10 +29,14 @@ FOLLOWED = 0.2
 """Movement in samples of a coarse detail from which on it is followed to finer ones."""
 
 EXPLAINED = 0.85
-"""Share of what free movements of all photographs would explain that a smaller set of them must."""
+"""Share of what free movements of all photographs would explain that a smaller set of them must, or a single one
+that was followed before it was certain: photographs that moved reach 0.96 to 1 there, others up to 0.77."""
 
 MOSTLY = 0.4
 """The same of a single photograph that is told: less may be the movement of another."""
+
+LED = 3
+"""Sizes of details, from the finest, in which a movement is followed before it is certain: they know of 2 px."""
 
 TILES = 12
 """Tiles that must show something: fewer do not say whether a photograph moved or a highlight did."""
@@ -43,15 +47,10 @@ FEW_TILES = 6
 ROUNDS = 8
 """Rounds at most at each size of details; one is enough where nothing moved."""
 
-BETTER = 0.98
+BETTER, ROBUSTLY = 0.98, 0.995
 """What bringing the photographs back must leave of the disagreement, at most.  It is mostly noise where the
-artwork has hardly any texture."""
-
-NOISY = 0.6
-"""Unexplained share of details from which on they are noise and gloss, and say nothing that coarser ones do not."""
-
-SHARED = 0.25
-"""Share of its gradients that the others are taken to explain at least: a step is lengthened four times at most."""
+artwork has hardly any texture, and gloss where it has strong varnish: there 2 px leave up to 0.992, and the second
+limit holds for what was found where highlights had little say."""
 
 SETTLED = 0.05
 """Change of a movement in samples below which a round was the last."""
@@ -60,8 +59,9 @@ SETTLED = 0.05
 FINAL = 0.02
 """Change of a movement below which its last measurement has settled, px."""
 
-SURE = 0.15
-"""Standard error up to which a size of details, or a quarter, says where a photograph lies, px."""
+SURE = 0.12
+"""Standard error up to which a size of details, or a quarter, says where a photograph lies, px.  Where one size
+alone does, nothing contradicts it: at 0.13 the whole is wrong by up to 0.45 under strong varnish on dark relief."""
 
 FAINT = 10
 """The same as a multiple of the best one's: what knows a hundred times less has no say in the movement."""
@@ -69,12 +69,6 @@ FAINT = 10
 AGREED = 0.3
 """By how much these may disagree about a movement whose amount is told, px.  Where gloss cannot be taken out they
 reach 0.3 to 0.9, and the whole is then wrong by up to 0.8; else it is wrong by up to 0.25."""
-
-MATT = 0.6
-"""What is left unexplained without gloss, as a share of what is left with it, from which on it is taken out.
-Varnished paintings reach 0.1 to 0.5; noise that is cut off on its bright side leaves 0.8."""
-
-Known = dict[tuple[int, bytes], tuple[FineStructure, dict[bool, FineStructure]]]
 
 
 @dataclass(frozen=True)
@@ -96,63 +90,6 @@ class Moves:
     measured: tuple[int, ...] = ()
 
 
-def weighed_structure(
-    levels: Sequence[Sequence[Detail]], around: Surroundings, moves: Array, known: Known, clear: bool = False
-) -> FineStructure:
-    """Fine structure of details of several sizes, per pixel of movement, each by what it knows of the movement.
-
-    ``clear``: of tiles clear of steps alone.
-    """
-    parts = []
-    for details in levels:
-        key = (details[0].scale, moves.tobytes())
-        if key not in known:
-            found = fine_structure(details, around, moves)
-            known[key] = found, {}
-        found, chosen = known[key]
-        if clear not in chosen:
-            chosen[clear] = _per_pixel(found.part(found.clear) if clear else found, details[0].scale)
-        parts.append(chosen[clear])
-    return join(parts)
-
-
-def _per_pixel(one: FineStructure, scale: int) -> FineStructure:
-    """Fine structure of one size, per pixel of movement and by what it knows; of no tile where all is noise."""
-    left = one.left()
-    if not (left > 0).any() or one.share() > NOISY:
-        return one.part(np.zeros(0, np.intp))
-    # Noise is in the finest details, and hardly in coarse ones: each counts by its own disagreement.
-    weights = one.sizes / (left + np.median(left[left > 0]))
-    count = one.powers.shape[1]
-    gradients = np.r_[np.ones(count), np.full(2 * count, 1 / scale)]
-    products = one.products * np.outer(gradients, gradients) * weights[:, None, None]
-    return replace(one, products=_without_noise(products, count))
-
-
-def _without_noise(products: Array, count: int) -> Array:
-    """Products without that part of the gradients that the others do not share: it would shorten every step."""
-    own = np.zeros_like(products)
-    lamps = np.arange(count)
-    for a, b in ((1, 1), (1, 2), (2, 1), (2, 2)):
-        block = products[:, a * count : (a + 1) * count, b * count : (b + 1) * count]
-        own[:, a * count + lamps, b * count + lamps] = (block.sum(axis=1) + block.sum(axis=2)) / 2
-    matrix, noise = products[:, count:, count:].sum(axis=0), own[:, count:, count:].sum(axis=0)
-    values, axes = np.linalg.eigh(matrix)
-    back = axes[:, values > 1e-9 * values[-1]] / np.sqrt(values[values > 1e-9 * values[-1]])
-    most = float(np.linalg.eigvalsh(back.T @ noise @ back)[-1])
-    return np.asarray(products - min(1, (1 - SHARED) / max(most, 1e-9)) * own)
-
-
-def misfit_of(structure: FineStructure, moves: Array) -> Misfit:
-    """Misfit by total movements, px, after ``moves`` were taken back."""
-    products = structure.products.sum(axis=0)
-    count = len(moves)
-    ones, done = np.ones(count), moves.T.ravel()
-    matrix, vector = products[count:, count:], products[count:, :count] @ ones
-    level = ones @ products[:count, :count] @ ones - 2 * vector @ done + done @ matrix @ done
-    return Misfit(matrix, vector - matrix @ done, float(level), count)
-
-
 def find_moves(levels: Sequence[Sequence[Detail]], around: Surroundings) -> tuple[Moves, FineStructure]:
     """Follow the photographs from coarse details to fine ones.
 
@@ -172,12 +109,14 @@ def find_moves(levels: Sequence[Sequence[Detail]], around: Surroundings) -> tupl
     still = np.zeros((len(around.relative.lamps), 2))
     finest = _finest(levels, around, still, known)
     moves = Moves(still, False)
-    if not finest.clear.all():
+    steps = not finest.clear.all()
+    if steps:
         # A shadow that is too thin to be seen lies beside steps that cast wider ones under other lamps.
-        moves = _moves(levels, around, known, True)
+        moves = _moves(levels, around, known, True, True)
     if not moves.pixels.any():
-        moves = _moves(levels, around, known, False)
-        if moves.pixels.any():
+        # Beside steps, what the photographs agree about may be the shadows' edges.
+        moves = _moves(levels, around, known, False, not steps)
+        if steps and moves.pixels.any():
             moves = _seen_beside_steps(levels, around, moves)
     return moves, _finest(levels, around, moves.pixels, known)
 
@@ -187,42 +126,88 @@ def _finest(
 ) -> FineStructure:
     """Fine structure of the finest details, brought back."""
     weighed_structure(levels[:1], around, moves, known, False)
-    return known[levels[0][0].scale, moves.tobytes()][0]
+    return known[levels[0][0].scale, moves.tobytes(), False][0]
 
 
-def _moves(levels: Sequence[Sequence[Detail]], around: Surroundings, known: Known, clear: bool) -> Moves:
-    """Movements that all tiles show, or only those clear of steps."""
-    moves = Moves(np.zeros((len(around.relative.lamps), 2)), False)
+def _moves(
+    levels: Sequence[Sequence[Detail]], around: Surroundings, known: Known, clear: bool, robust: bool
+) -> Moves:
+    """Movements that all tiles show, or only those clear of steps; ``robust``: highlights have little say."""
+    still = np.zeros((len(around.relative.lamps), 2))
+    moves = Moves(still, False)
     for level in reversed(range(len(levels))):
-        scale = levels[level][0].scale
-        least = FOLLOWED * scale if level else LEAST
-        for _ in range(ROUNDS):
-            structure = weighed_structure(levels[level:], around, moves.pixels, known, clear)
-            before = moves.pixels
-            if np.count_nonzero(structure.left() > 0) < (FEW_TILES if level else TILES):
-                moves = Moves(np.zeros_like(before), False)
-                break
-            moves = _follow(structure, before, least, level == 0)
-            if np.abs(moves.pixels - before).max() < SETTLED * scale:
-                break
-    still = np.zeros_like(moves.pixels)
+        moves = _settled(levels, around, known, clear, robust, level, moves)
+    if robust and not moves.pixels.any():
+        moves = _led(levels, around, known, clear)
     if not moves.pixels.any():
         return moves
     for details in levels[:3]:
         brought, left = (fine_structure(details, around, way) for way in (moves.pixels, still))
         if clear:
             brought, left = brought.part(brought.clear), left.part(left.clear)
-        if brought.share() <= BETTER * left.share():
-            return _refine(levels, around, moves, clear)
+        if brought.share() <= (ROBUSTLY if robust else BETTER) * left.share():
+            return _refine(levels, around, moves, clear, robust)
     return Moves(still, False)
 
 
-def _refine(levels: Sequence[Sequence[Detail]], around: Surroundings, moves: Moves, clear: bool) -> Moves:
+def _settled(
+    levels: Sequence[Sequence[Detail]],
+    around: Surroundings,
+    known: Known,
+    clear: bool,
+    robust: bool,
+    level: int,
+    moves: Moves,
+) -> Moves:
+    """Movements as far as details of one size and all coarser ones are certain of them, from those known so far."""
+    scale = levels[level][0].scale
+    least = FOLLOWED * scale if level else LEAST
+    for _ in range(ROUNDS):
+        structure = weighed_structure(levels[level:], around, moves.pixels, known, clear, robust)
+        before = moves.pixels
+        if np.count_nonzero(structure.left() > 0) < (FEW_TILES if level else TILES):
+            return Moves(np.zeros_like(before), False)
+        moves = _follow(structure, before, least, level == 0)
+        if np.abs(moves.pixels - before).max() < SETTLED * scale:
+            break
+    return moves
+
+
+def _led(levels: Sequence[Sequence[Detail]], around: Surroundings, known: Known, clear: bool) -> Moves:
+    """The movement of one photograph that is certain only once it is followed to its end, as beside gloss.
+
+    Steps are short there at first, and the quarters far apart.  So the photograph that explains most is followed
+    whatever it is; all that a movement must pass, it must pass where it ends.
+    """
+    pixels = np.zeros((len(around.relative.lamps), 2))
+    for level in reversed(range(min(LED, len(levels)))):
+        scale = levels[level][0].scale
+        for _ in range(ROUNDS):
+            structure = weighed_structure(levels[level:], around, pixels, known, clear, True)
+            if np.count_nonzero(structure.left() > 0) < (FEW_TILES if level else TILES):
+                return Moves(np.zeros_like(pixels), False)
+            before = pixels
+            pixels = misfit_of(structure, before).ranked(1, False, ())[0][2]
+            if np.abs(pixels - before).max() < SETTLED * scale:
+                break
+        if np.hypot(*pixels.T).max() < LEAST:
+            return Moves(np.zeros_like(pixels), False)
+    moves = _settled(levels, around, known, clear, True, 0, Moves(pixels, False))
+    lamps = np.flatnonzero(moves.pixels.any(axis=1)).tolist()
+    misfit = misfit_of(weighed_structure(levels, around, moves.pixels, known, clear, True), moves.pixels)
+    most = misfit.level - misfit.least(range(misfit.lamps))[0]
+    enough = lamps and misfit.level - misfit.least(lamps)[0] > EXPLAINED * most
+    return moves if enough else Moves(np.zeros_like(pixels), False)
+
+
+def _refine(
+    levels: Sequence[Sequence[Detail]], around: Surroundings, moves: Moves, clear: bool, robust: bool
+) -> Moves:
     """The same movements, measured without gloss where that can be told, and by how much parts disagree on them."""
     lamps = np.flatnonzero(moves.pixels.any(axis=1)).tolist()
     pixels = moves.pixels
     for _ in range(ROUNDS):
-        parts = clearest_structures(levels, around, pixels, clear)
+        parts = clearest_structures(levels, around, pixels, clear, robust)
         structure, before = join(parts), pixels
         if not len(structure.sizes):
             break
@@ -231,24 +216,6 @@ def _refine(levels: Sequence[Sequence[Detail]], around: Surroundings, moves: Mov
             break
     measured = tuple(lamp for lamp in lamps if _agree(parts, structure, lamp))
     return Moves(np.where(np.hypot(*pixels.T)[:, None] > LEAST, pixels, 0.0), moves.together, measured)
-
-
-def clearest_structures(
-    levels: Sequence[Sequence[Detail]], around: Surroundings, moves: Array, clear: bool = False
-) -> list[FineStructure]:
-    """Fine structures of all sizes, brought back, without gloss where it is much of what is unexplained."""
-    still = np.zeros_like(moves)
-    glossy = [fine_structure(one, around, moves) for one in levels]
-    cleaned = [without_gloss(brought_back(one, moves), around) for one in levels[0]]
-    matt = []
-    for _ in levels:
-        matt.append(fine_structure(cleaned, around, still))
-        cleaned = [one.halved() for one in cleaned]
-    if clear:
-        glossy, matt = ([one.part(one.clear) for one in some] for some in (glossy, matt))
-    shares = [(a.share(), b.share()) for a, b in zip(glossy, matt, strict=True) if a.share() < NOISY]
-    chosen = matt if shares and shares[0][1] < MATT * shares[0][0] else glossy
-    return [_per_pixel(one, details[0].scale) for one, details in zip(chosen, levels, strict=True)]
 
 
 def _seen_beside_steps(levels: Sequence[Sequence[Detail]], around: Surroundings, moves: Moves) -> Moves:

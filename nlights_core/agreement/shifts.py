@@ -16,19 +16,11 @@ import numpy as np
 
 from nlights_core.agreement.details import LEAST, LEVELS, Detail, Surroundings, read_details
 from nlights_core.agreement.fine_structure import FineStructure, brought_back, fine_structure, join
-from nlights_core.agreement.movement import (
-    FINAL,
-    ROUNDS,
-    SETTLED,
-    TILES,
-    Known,
-    clearest_structures,
-    misfit_of,
-    weighed_structure,
-)
+from nlights_core.agreement.movement import FINAL, ROUNDS, SETTLED, TILES
 from nlights_core.agreement.places import places, unexplained
 from nlights_core.agreement.relative_light import FEWEST, RelativeLight, relate_samples
 from nlights_core.agreement.samples import sample_photographs
+from nlights_core.agreement.weighed_structures import Known, clearest_structures, misfit_of, weighed_structure
 from nlights_core.capture import Tile
 from nlights_core.capture_warnings import CaptureWarning
 from nlights_core.fields import LightField

@@ -75,10 +75,25 @@ def test_a_relief_that_noise_or_gloss_hides_is_followed_in_coarser_details(
     assert_told(warning, across, up, (f"Relio_{number}",))
 
 
+@pytest.mark.parametrize(("number", "across", "up"), [(1, 2, 0), (3, -1, 1.75), (4, -1, 1.75)])
+def test_a_movement_is_told_of_dark_relief_under_varnish(photographs, simulated, number, across, up):
+    """Its highlights are brighter than the paint, differ from lamp to lamp, and lie anywhere."""
+    capture = photographs("relief", "vertical-dark", varnish=True)
+    # What the varnish adds is light that the matt relief has not.
+    matt = simulated("relief", "vertical-dark")
+    for n in range(1, 9):
+        paint = tifffile.imread(matt / f"light_{n}.tif") - 256.0
+        capture.change_frames(lambda light, paint=paint: light - 0.85 * paint, n)
+    assert capture.said() == []
+    capture.change_frames(moved(across, up), number)
+    (warning,) = capture.said()
+    assert_told(warning, across, up, (capture.tile.lamps[number - 1],))
+
+
 def test_no_amount_is_told_where_gloss_and_noise_hide_it(photographs):
     capture = photographs("relief", varnish=True)
     for n in range(1, 9):
-        capture.change_frames(grain(n, -2.5 if n == 8 else 0, 0.5 if n == 8 else 0), n)
+        capture.change_frames(grain(n, -2.5 if n == 8 else 0, 0.5 if n == 8 else 0, 0.3), n)
     (warning,) = capture.said()
     assert (warning.code, warning.lamps, warning.value, warning.unit) == ("moved", ("Relio_8",), None, "")
     assert "could not be measured" in warning.sentence
