@@ -6,11 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nlights_core.agreement.coarse_light import known_medians
-from nlights_core.agreement.places import places, unexplained
-from nlights_core.agreement.relative_light import RelativeLight
 from nlights_core.capture_warnings import CaptureWarning
 from nlights_core.frames import Array
+from nlights_core.reduced_light.coarse_light import known_medians
+from nlights_core.reduced_light.places import places, unexplained
+from nlights_core.reduced_light.relative_light import RelativeLight
 
 LEAST = 0.005
 """Light that is told, as a share of the flats' median: 0.5 %.  Sound captures read -0.003 to 0.001, the lowest

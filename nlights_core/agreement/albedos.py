@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from nlights_core.agreement.coarse_light import known_medians
-from nlights_core.agreement.samples import Samples
 from nlights_core.capture import Tile
 from nlights_core.capture_warnings import CaptureWarning
+from nlights_core.reduced_light.coarse_light import known_medians
+from nlights_core.reduced_light.samples import Samples
 
 BRIGHTEST = 1.15
 """Albedo of the brightest 5 % above which it is told.  Whites reflect at most 0.98 (0.93 is reached by sound

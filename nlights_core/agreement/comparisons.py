@@ -6,18 +6,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from nlights_core.agreement.albedos import find_odd_albedo
-from nlights_core.agreement.coarse_light import CoarseLight, reduce_to_cells
 from nlights_core.agreement.dark_frames import find_lit_dark
 from nlights_core.agreement.exchanges import find_exchanged
 from nlights_core.agreement.exposures import find_odd_exposures
 from nlights_core.agreement.firing import find_unlit
-from nlights_core.agreement.samples import Samples
 from nlights_core.agreement.tone_curves import find_tone_curve
 from nlights_core.agreement.truncation import find_truncated
 from nlights_core.agreement.turns import ACROSS, find_turned, find_turned_together
 from nlights_core.capture import Tile
 from nlights_core.capture_warnings import CaptureWarning
 from nlights_core.fields import LightField
+from nlights_core.reduced_light.coarse_light import CoarseLight, reduce_to_cells
+from nlights_core.reduced_light.samples import Samples
 
 LEAST_LAMPS = 3
 """Fewer photographs than that can be measured by nothing."""

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from nlights_core.agreement.coarse_light import CELLS, cell_medians
-from nlights_core.agreement.samples import Samples
 from nlights_core.capture import Tile
 from nlights_core.capture_warnings import CaptureWarning
 from nlights_core.frames import Array
+from nlights_core.reduced_light.coarse_light import CELLS, cell_medians
+from nlights_core.reduced_light.samples import Samples
 
 PICTURE = 0.003
 """Spread of the dark frame over the field (from its 5 to its 95 % quantile) as a share of the flats' light.

@@ -13,11 +13,11 @@ from nlights_core.agreement.comparisons import compare_photographs
 from nlights_core.agreement.file_headers import header_warnings
 from nlights_core.agreement.number_ranges import range_warnings
 from nlights_core.agreement.predictions import compare_with_predictions
-from nlights_core.agreement.samples import Samples, sample_photographs
 from nlights_core.capture import Tile
 from nlights_core.capture_warnings import CaptureWarning
 from nlights_core.fields import LightField
 from nlights_core.photographs.development import darkroom
+from nlights_core.reduced_light.samples import Samples, sample_photographs
 
 
 def examine_photographs(

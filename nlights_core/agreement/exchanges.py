@@ -7,11 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nlights_core.agreement.coarse_light import CoarseLight, centred, misfits
 from nlights_core.agreement.wording import flat_name, frame_name, listed
 from nlights_core.capture import Tile
 from nlights_core.capture_warnings import CaptureWarning
 from nlights_core.frames import Array
+from nlights_core.reduced_light.coarse_light import CoarseLight, centred, misfits
 
 LEAST_LAMPS = 4
 """What lamps have in common is their median, which one exchange among three would decide."""

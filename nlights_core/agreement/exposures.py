@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from nlights_core.agreement.coarse_light import CoarseLight, known_medians
 from nlights_core.agreement.wording import flat_name, frame_name, listed
 from nlights_core.capture import Tile
 from nlights_core.capture_warnings import CaptureWarning
 from nlights_core.photographs.exif import ExposureNote, read_exposure
+from nlights_core.reduced_light.coarse_light import CoarseLight, known_medians
 
 ANOTHER = 1.1
 """Factor of exposure from which on two exposures are told to differ.  Cameras move in thirds of a stop, 1.26, and

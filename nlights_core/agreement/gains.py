@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nlights_core.agreement.explanations import Misfit
-from nlights_core.agreement.places import places, unexplained
-from nlights_core.agreement.relative_light import RelativeLight, left_out
 from nlights_core.agreement.unknown_surfaces import gain_beside_surface
 from nlights_core.frames import Array
+from nlights_core.reduced_light.explanations import Misfit
+from nlights_core.reduced_light.places import places, unexplained
+from nlights_core.reduced_light.relative_light import RelativeLight, left_out
 
 LEAST = 0.08
 """Deviation of a gain from 1 that is told.  Lamps drift by 1 %; of sound captures one whose gloss or height

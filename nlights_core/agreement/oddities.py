@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from nlights_core.agreement.places import places, unexplained
-from nlights_core.agreement.relative_light import FEWEST, RelativeLight
 from nlights_core.frames import Array
+from nlights_core.reduced_light.places import places, unexplained
+from nlights_core.reduced_light.relative_light import FEWEST, RelativeLight
 
 BETTER = 0.6
 """How much less the others must disagree without the photograph than without any other.  Sound captures reach

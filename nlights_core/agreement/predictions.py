@@ -9,17 +9,17 @@ from pathlib import Path
 import numpy as np
 
 from nlights_core.agreement.additive_light import find_light, warning_of_light
-from nlights_core.agreement.details import LEAST, LEVELS, Detail, Surroundings, read_details
-from nlights_core.agreement.fine_structure import fine_structure
 from nlights_core.agreement.gains import Gain, find_gains
-from nlights_core.agreement.movement import Moves, find_moves
 from nlights_core.agreement.oddities import find_odd
-from nlights_core.agreement.relative_light import FEWEST, RelativeLight, relate_samples
-from nlights_core.agreement.samples import Samples
-from nlights_core.agreement.sharpness import find_blurred
 from nlights_core.capture import Tile
 from nlights_core.capture_warnings import CaptureWarning
 from nlights_core.fields import LightField
+from nlights_core.movement.details import LEAST, LEVELS, Detail, Surroundings, read_details
+from nlights_core.movement.fine_structure import fine_structure
+from nlights_core.movement.moves import Moves, find_moves
+from nlights_core.movement.sharpness import find_blurred
+from nlights_core.reduced_light.relative_light import FEWEST, RelativeLight, relate_samples
+from nlights_core.reduced_light.samples import Samples
 
 FAR = 2.0
 """Movement from which on it explains why a photograph does not agree, px."""

@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from nlights_core.agreement.additive_light import bending_light, warning_of_light
-from nlights_core.agreement.coarse_light import LEAST_CELLS, CoarseLight, centred, known_medians
-from nlights_core.agreement.samples import Samples
 from nlights_core.agreement.wording import listed
 from nlights_core.capture import Tile
 from nlights_core.capture_warnings import CaptureWarning
@@ -24,6 +22,8 @@ from nlights_core.lamps.lobes import (
     prior_deviations,
     reduce_readings,
 )
+from nlights_core.reduced_light.coarse_light import LEAST_CELLS, CoarseLight, centred, known_medians
+from nlights_core.reduced_light.samples import Samples
 
 SLOPES = (0.65, 1.5)
 """Slope of the logarithm of flats on that of the computed light: 1 if numbers are light, but for what free lobes

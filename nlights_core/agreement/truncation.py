@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from nlights_core.agreement.samples import Samples
 from nlights_core.capture import Tile
 from nlights_core.capture_warnings import CaptureWarning
 from nlights_core.frames import Array
+from nlights_core.reduced_light.samples import Samples
 
 LEAST_SHARE = 0.01
 """Share of a file's rows that must be zero.  Sound photographs have none: even a black border has noise,

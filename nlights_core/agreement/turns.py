@@ -6,7 +6,12 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from nlights_core.agreement.coarse_light import (
+from nlights_core.agreement.exchanges import SWAPPED, reassign
+from nlights_core.agreement.wording import flat_name, frame_name
+from nlights_core.capture import Tile
+from nlights_core.capture_warnings import CaptureWarning
+from nlights_core.frames import Array
+from nlights_core.reduced_light.coarse_light import (
     LEAST_CELLS,
     CoarseLight,
     centred,
@@ -14,11 +19,6 @@ from nlights_core.agreement.coarse_light import (
     misfits,
     variance,
 )
-from nlights_core.agreement.exchanges import SWAPPED, reassign
-from nlights_core.agreement.wording import flat_name, frame_name
-from nlights_core.capture import Tile
-from nlights_core.capture_warnings import CaptureWarning
-from nlights_core.frames import Array
 
 ACROSS = 80
 """About how many cells a photograph is wide: patterns of the artwork tell as well as light."""

@@ -13,10 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nlights_core.agreement.explanations import Misfit
-from nlights_core.agreement.places import places, unexplained
-from nlights_core.agreement.relative_light import RelativeLight
 from nlights_core.frames import Array
+from nlights_core.reduced_light.explanations import Misfit
+from nlights_core.reduced_light.places import places, unexplained
+from nlights_core.reduced_light.relative_light import RelativeLight
 
 EXPONENTS = (5.0, 15.0, 40.0, 100.0)
 """Of the highlights whose sum stands for gloss: satin to varnish, on paint that is flat but for its structure."""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from nlights_core.report.figures import Number
 
 if TYPE_CHECKING:
-    from nlights_core.agreement.shifts import Shifts
+    from nlights_core.movement.shifts import Shifts
 
 
 def of_shifts(shifts: Shifts | None) -> list[Number]:

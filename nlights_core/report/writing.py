@@ -12,8 +12,6 @@ from pathlib import Path
 from typing import Any
 
 from nlights_core import __version__
-from nlights_core.agreement.borders import PICTURE, read_proposal
-from nlights_core.agreement.shifts import read_shifts
 from nlights_core.calibration.record import read_calibration, read_uncertainty
 from nlights_core.capture import Tile
 from nlights_core.capture_warnings import CaptureWarning, read_warnings, write_warnings
@@ -23,11 +21,13 @@ from nlights_core.files.arrays import read_array
 from nlights_core.frames import Array, PixelGrid
 from nlights_core.integration.known_heights import DIFFERENCES, read_differences
 from nlights_core.lamps.emission import read_stand_check
+from nlights_core.movement.shifts import read_shifts
 from nlights_core.near_light.position_uncertainty import position_uncertainty
 from nlights_core.photographs.flat_fields import read_flat_field
 from nlights_core.photographs.masks import Mask
 from nlights_core.photographs.noise import read_noise
 from nlights_core.products.writing import WHAT, open_maps, white_reflectance
+from nlights_core.reduced_light.borders import PICTURE, read_proposal
 from nlights_core.report import quality
 from nlights_core.report.agreement_quality import of_agreement
 from nlights_core.report.alignment_quality import of_shifts

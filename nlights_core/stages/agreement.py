@@ -5,16 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from nlights_core.agreement.borders import find_border, write_border
 from nlights_core.agreement.examination import examine_photographs
-from nlights_core.agreement.samples import Samples
 from nlights_core.capture import Tile
 from nlights_core.capture_warnings import write_warnings
 from nlights_core.machine.progress import Progress
+from nlights_core.reduced_light.borders import find_border, write_border
+from nlights_core.reduced_light.samples import Samples
 from nlights_core.stages.inputs import facts_of_photographs, read_lights, with_mask
 from nlights_core.store import ArtefactRef, Store, Work, describe
 
-RESTS_ON = ("agreement", "capture_warnings", "lamps", "photographs")
+RESTS_ON = ("agreement", "capture_warnings", "lamps", "movement", "photographs", "reduced_light")
 """Departments whose code decides the result, beside what all results rest on."""
 
 

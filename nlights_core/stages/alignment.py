@@ -5,14 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from nlights_core.agreement.shifts import find_shifts, warn_of_shifts, write_shifts
 from nlights_core.capture import Tile
 from nlights_core.capture_warnings import read_warnings, write_warnings
 from nlights_core.machine.progress import Progress
+from nlights_core.movement.shifts import find_shifts, warn_of_shifts, write_shifts
 from nlights_core.stages.inputs import facts_of_photographs, read_lights, with_mask
 from nlights_core.store import ArtefactRef, Store, Work, describe
 
-RESTS_ON = ("agreement", "capture_warnings", "photographs")
+RESTS_ON = ("capture_warnings", "movement", "photographs", "reduced_light")
 """Departments whose code decides the result, beside what all results rest on."""
 
 

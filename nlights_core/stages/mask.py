@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 import tifffile
 
-from nlights_core.agreement.borders import find_border, write_border
-from nlights_core.agreement.samples import sample_photographs
 from nlights_core.capture import Tile
 from nlights_core.machine.progress import Progress
 from nlights_core.photographs.headers import survey
+from nlights_core.reduced_light.borders import find_border, write_border
+from nlights_core.reduced_light.samples import sample_photographs
 from nlights_core.stages.inputs import facts_of_photographs
 from nlights_core.store import Store, Work, describe
 
-RESTS_ON = ("agreement", "photographs")
+RESTS_ON = ("photographs", "reduced_light")
 """Departments whose code decides the result, beside what all results rest on."""
 
 FILE = "mask.tif"

@@ -13,14 +13,15 @@ from nlights_core.stages.inputs import with_mask
 from nlights_core.store import ArtefactRef, Store, Work, describe
 
 RESTS_ON = (
-    "agreement",
     "calibration",
     "capture_warnings",
     "integration",
     "lamps",
+    "movement",
     "near_light",
     "photographs",
     "products",
+    "reduced_light",
     "report",
     "solving",
 )

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from nlights_core.agreement.borders import read_proposal
 from nlights_core.agreement.examination import examine_photographs
 from nlights_core.capture import Encoding, Tile
 from nlights_core.capture_warnings import CaptureWarning, read_warnings
@@ -25,6 +24,7 @@ from nlights_core.photographs.headers import grid_of, survey
 from nlights_core.photographs.images import Photograph, probe
 from nlights_core.photographs.masks import mask_size
 from nlights_core.recipe import Recipe
+from nlights_core.reduced_light.borders import read_proposal
 from nlights_core.store import ArtefactRef, Store, Work
 from nlights_flows.tiles import isolation
 from nlights_flows.tiles.chain import digitise_tile

@@ -6,9 +6,9 @@ import itertools
 import numpy as np
 import pytest
 
-from nlights_core.agreement.coarse_light import reduce_to_cells
 from nlights_core.agreement.comparisons import compare_photographs
 from nlights_core.agreement.exchanges import exchanges, find_exchanged
+from nlights_core.reduced_light.coarse_light import reduce_to_cells
 
 
 @pytest.fixture(scope="module")

@@ -7,8 +7,8 @@ import pytest
 import tifffile
 
 from nlights_core.agreement.gains import find_gains
-from nlights_core.agreement.relative_light import relate_samples
 from nlights_core.fields import LightField
+from nlights_core.reduced_light.relative_light import relate_samples
 from nlights_core.simulation.captures import BLACK_LEVEL
 
 

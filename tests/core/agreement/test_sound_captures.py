@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from nlights_core.agreement.comparisons import compare_photographs
-from nlights_core.agreement.samples import Rows, Samples, sample_photographs
 from nlights_core.capture import Encoding, Tile
 from nlights_core.configurations import load_stand
 from nlights_core.fields import LightField
 from nlights_core.frames import PixelGrid
 from nlights_core.photographs.images import grey
+from nlights_core.reduced_light.samples import Rows, Samples, sample_photographs
 from nlights_core.simulation.captures import BLACK_LEVEL, SATURATION, expose, set_up
 from nlights_core.simulation.scenes import synthetic_stand
 

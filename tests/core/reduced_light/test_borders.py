@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from nlights_core.agreement.borders import find_border, read_proposal, write_border
+from nlights_core.reduced_light.borders import find_border, read_proposal, write_border
 
 SHAPE = (180, 240)
 ROWS, COLUMNS = np.mgrid[: SHAPE[0], : SHAPE[1]]

@@ -9,8 +9,6 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import uniform_filter
 
-from nlights_core.agreement.relative_light import DUST, RelativeLight, enlarge, lamp_vectors
-from nlights_core.agreement.samples import Samples
 from nlights_core.capture import Tile
 from nlights_core.fields import LightField
 from nlights_core.frames import Array
@@ -18,6 +16,8 @@ from nlights_core.machine.band_threads import in_order
 from nlights_core.photographs.development import Darkroom, darkroom
 from nlights_core.photographs.images import Photograph, grey, is_saturated
 from nlights_core.photographs.tone_curves import linear_light
+from nlights_core.reduced_light.relative_light import DUST, RelativeLight, enlarge, lamp_vectors
+from nlights_core.reduced_light.samples import Samples
 
 WHOLE = 1 << 19
 """Pixels up to which a photograph is looked at as a whole; of a larger one, a part of each quarter."""

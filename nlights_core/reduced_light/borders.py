@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from nlights_core.agreement.samples import Samples
 from nlights_core.frames import Array
+from nlights_core.reduced_light.samples import Samples
 
 REACH = 0.42
 """Share of the field, from each edge, within which a border is looked for."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from nlights_core.agreement.relative_light import FEWEST, RelativeLight
 from nlights_core.frames import Array
+from nlights_core.reduced_light.relative_light import FEWEST, RelativeLight
 
 PLACES = 6000
 """Samples looked at: a gain is one number."""

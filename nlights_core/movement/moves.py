@@ -8,11 +8,11 @@ from itertools import combinations
 
 import numpy as np
 
-from nlights_core.agreement.details import Detail, Surroundings
-from nlights_core.agreement.explanations import Misfit
-from nlights_core.agreement.fine_structure import FineStructure, fine_structure, join
-from nlights_core.agreement.weighed_structures import Known, clearest_structures, misfit_of, weighed_structure
 from nlights_core.frames import Array
+from nlights_core.movement.details import Detail, Surroundings
+from nlights_core.movement.fine_structure import FineStructure, fine_structure, join
+from nlights_core.movement.weighed_structures import Known, clearest_structures, misfit_of, weighed_structure
+from nlights_core.reduced_light.explanations import Misfit
 
 LEAST = 0.35
 """Movement that is told, px.  Sound captures reach 0.02, behind a frame 20 mm deep 0.3."""

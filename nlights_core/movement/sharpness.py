@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from nlights_core.agreement.fine_structure import FineStructure
 from nlights_core.frames import Array
+from nlights_core.movement.fine_structure import FineStructure
 
 SOFT = 0.6
 """Contrast of fine detail against that of detail four times coarser, relative to the other photographs, below

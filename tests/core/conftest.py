@@ -12,13 +12,13 @@ import tifffile
 
 from nlights_core.agreement.comparisons import Comparison, compare_photographs
 from nlights_core.agreement.predictions import compare_with_predictions
-from nlights_core.agreement.samples import Samples, sample_photographs
 from nlights_core.capture import Tile
 from nlights_core.capture_warnings import CaptureWarning
 from nlights_core.configurations import load_stand
 from nlights_core.fields import LightField
 from nlights_core.frames import Array
 from nlights_core.manifest import load_capture
+from nlights_core.reduced_light.samples import Samples, sample_photographs
 from nlights_core.simulation.captures import BLACK_LEVEL, simulate
 
 Spoiler = Callable[[np.ndarray], np.ndarray]

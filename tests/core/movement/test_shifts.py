@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import shift
 
-from nlights_core.agreement.shifts import Shifts, find_shifts, read_shifts, warn_of_shifts, write_shifts
 from nlights_core.fields import LightField
+from nlights_core.movement.shifts import Shifts, find_shifts, read_shifts, warn_of_shifts, write_shifts
 from nlights_core.photographs.shifted import Shift
 
 

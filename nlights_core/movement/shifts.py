@@ -1,6 +1,6 @@
 """Shifts: how far every photograph of a tile lies from the others, to be taken out when it is developed.
 
-`nlights_core.agreement.movement` says which photograph was touched, by the fewest that explain what is seen.  Here
+`nlights_core.movement.moves` says which photograph was touched, by the fewest that explain what is seen.  Here
 all may have moved, each in its own way, by a part of a pixel.  All are fitted together from coarse details to fine
 ones, what three numbers a place explain being left out; and all are taken out, or none.
 """
@@ -14,18 +14,18 @@ from pathlib import Path
 
 import numpy as np
 
-from nlights_core.agreement.details import LEAST, LEVELS, Detail, Surroundings, read_details
-from nlights_core.agreement.fine_structure import FineStructure, brought_back, fine_structure, join
-from nlights_core.agreement.movement import FINAL, ROUNDS, SETTLED, TILES
-from nlights_core.agreement.places import places, unexplained
-from nlights_core.agreement.relative_light import FEWEST, RelativeLight, relate_samples
-from nlights_core.agreement.samples import sample_photographs
-from nlights_core.agreement.weighed_structures import Known, clearest_structures, misfit_of, weighed_structure
 from nlights_core.capture import Tile
 from nlights_core.capture_warnings import CaptureWarning
 from nlights_core.fields import LightField
 from nlights_core.frames import Array
+from nlights_core.movement.details import LEAST, LEVELS, Detail, Surroundings, read_details
+from nlights_core.movement.fine_structure import FineStructure, brought_back, fine_structure, join
+from nlights_core.movement.moves import FINAL, ROUNDS, SETTLED, TILES
+from nlights_core.movement.weighed_structures import Known, clearest_structures, misfit_of, weighed_structure
 from nlights_core.photographs.shifted import FILE, Shift, light_at, shifts_by_lamp
+from nlights_core.reduced_light.places import places, unexplained
+from nlights_core.reduced_light.relative_light import FEWEST, RelativeLight, relate_samples
+from nlights_core.reduced_light.samples import sample_photographs
 
 CERTAIN = 5.0
 """How many times their standard error the shifts must be, rms over the photographs.  Sound captures reach 1 to 2.5

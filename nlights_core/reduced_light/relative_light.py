@@ -13,9 +13,9 @@ from functools import cached_property
 import numpy as np
 from scipy.ndimage import minimum_filter, uniform_filter
 
-from nlights_core.agreement.samples import Samples
 from nlights_core.fields import LightField
 from nlights_core.frames import Array, PixelGrid
+from nlights_core.reduced_light.samples import Samples
 
 FEWEST = 5
 """Lamps from which on a photograph that differs can be told: of four, each could be the one that is wrong."""

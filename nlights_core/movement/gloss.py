@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 from scipy.ndimage import uniform_filter
 
-from nlights_core.agreement.details import Detail, Surroundings
-from nlights_core.agreement.fine_structure import SMOOTH, filled
-from nlights_core.agreement.places import unexplained
-from nlights_core.agreement.relative_light import FEWEST
 from nlights_core.frames import Array
 from nlights_core.machine.band_threads import in_order
+from nlights_core.movement.details import Detail, Surroundings
+from nlights_core.movement.fine_structure import SMOOTH, filled
+from nlights_core.reduced_light.places import unexplained
+from nlights_core.reduced_light.relative_light import FEWEST
 
 BLOCK = 64
 """Edge of the blocks over which a lamp's direction is taken to be the same, samples."""

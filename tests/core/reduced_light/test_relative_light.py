@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from nlights_core.agreement.relative_light import RelativeLight
 from nlights_core.fields import LightField
 from nlights_core.frames import PixelGrid
+from nlights_core.reduced_light.relative_light import RelativeLight
 
 
 def test_a_speck_on_a_flat_leaves_no_edges_in_its_smooth_light():

@@ -9,11 +9,11 @@ from functools import cached_property
 import numpy as np
 from scipy.ndimage import shift, uniform_filter
 
-from nlights_core.agreement.details import Detail, Surroundings
-from nlights_core.agreement.places import unexplained
-from nlights_core.agreement.relative_light import FEWEST
 from nlights_core.frames import Array
 from nlights_core.machine.band_threads import in_order
+from nlights_core.movement.details import Detail, Surroundings
+from nlights_core.reduced_light.places import unexplained
+from nlights_core.reduced_light.relative_light import FEWEST
 
 SMOOTH, WIDE = 3, 9
 """Fine structure is a mean over 3 x 3 samples less the mean over 9 x 9: noise below it is averaged, and light

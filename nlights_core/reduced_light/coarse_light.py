@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nlights_core.agreement.samples import Samples
 from nlights_core.capture import Tile
 from nlights_core.fields import LightField
 from nlights_core.frames import Array
+from nlights_core.reduced_light.samples import Samples
 
 CELLS = 24
 """About how many cells a photograph is wide: light is smooth, and medians of 100 samples leave dirt and lines out."""

@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from nlights_core.agreement.details import Detail, Surroundings
-from nlights_core.agreement.explanations import Misfit
-from nlights_core.agreement.fine_structure import FineStructure, brought_back, fine_structure, join
-from nlights_core.agreement.gloss import without_gloss
 from nlights_core.frames import Array
+from nlights_core.movement.details import Detail, Surroundings
+from nlights_core.movement.fine_structure import FineStructure, brought_back, fine_structure, join
+from nlights_core.movement.gloss import without_gloss
+from nlights_core.reduced_light.explanations import Misfit
 
 NOISY = 0.6
 """Unexplained share of details from which on they are noise and gloss, and say nothing that coarser ones do not."""

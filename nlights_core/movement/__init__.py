@@ -1,0 +1,1 @@
+"""Movement: photographs that do not lie on each other, in details at full resolution."""

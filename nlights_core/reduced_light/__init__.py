@@ -1,0 +1,1 @@
+"""Reduced light: photographs of a tile as small pictures, relative to flats and to one another."""
