@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -66,6 +66,15 @@ def find_gains(relative: RelativeLight) -> list[Gain]:
     list of Gain
         Of different lamps; empty where no gain explains why they disagree.
     """
+    found = _explain(relative)
+    if not found and relative.colour is not None:
+        # Gloss may hide a gain: it is grey, so the colour of paint has none of it, but more noise.
+        found = _explain(replace(relative, light=relative.colour))
+    return found
+
+
+def _explain(relative: RelativeLight) -> list[Gain]:
+    """The gains that explain best why photographs disagree, if any do."""
     _, _, light, vectors, weights = places(relative)
     if light.shape[1] < 50:
         return []

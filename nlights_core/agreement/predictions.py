@@ -125,7 +125,10 @@ def _levelled(relative: RelativeLight, gains: Sequence[Gain]) -> RelativeLight:
     factors = np.ones((len(relative.lamps), 1, 1), np.float32)
     for one in gains:
         factors[list(one.lamps)] = one.gain
-    return replace(relative, light=relative.light / factors, divisors=relative.divisors * factors)
+    colour = None if relative.colour is None else relative.colour / factors
+    return replace(
+        relative, light=relative.light / factors, divisors=relative.divisors * factors, colour=colour
+    )
 
 
 def _of_gains(gains: Sequence[Gain], relative: RelativeLight, tile: Tile) -> list[CaptureWarning]:

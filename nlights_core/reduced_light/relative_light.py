@@ -73,6 +73,8 @@ class RelativeLight:
         Where these lamps, and perhaps others, are.
     grid : PixelGrid
         Where the samples are on the plane.
+    colour : (L, h, w) float32 array or None
+        Light relative to the flat without its grey part, so without gloss; NaN where paint is grey.
     """
 
     lamps: tuple[str, ...]
@@ -84,6 +86,7 @@ class RelativeLight:
     with_flats: bool
     lights: LightField
     grid: PixelGrid
+    colour: Array | None = None
 
     def of(self, kept: Sequence[int]) -> RelativeLight:
         """The same of some lamps, by their indices."""
@@ -95,6 +98,7 @@ class RelativeLight:
             divisors=self.divisors[some],
             vectors=self.vectors[some],
             shaded=self.shaded[some],
+            colour=None if self.colour is None else self.colour[some],
         )
 
     @cached_property
@@ -152,6 +156,7 @@ def relate_samples(samples: Samples, lamps: Sequence[str], lights: LightField) -
         samples.flats is not None,
         lights,
         samples.grid,
+        None if samples.colour is None else samples.colour[chosen],
     )
 
 

@@ -14,6 +14,7 @@ from nlights_core.frames import Array, PixelGrid
 from nlights_core.photographs.block_means import BlockMeans, average_blocks, middle_lines
 from nlights_core.photographs.development import darkroom
 from nlights_core.photographs.images import Photograph, grey
+from nlights_core.reduced_light.colours import colour_light
 
 ACROSS = 240
 """About how many samples a photograph is wide, or more: what is compared is light, not detail."""
@@ -64,6 +65,8 @@ class Samples:
         Light of one number of the files, which nothing finer can be told from; 0 for floats.
     rows : Rows
         Of each row of blocks, what the files hold.
+    colour : (L, h, w) float32 array or None
+        Light relative to the flats without its grey part, as `colour_light` gives it; None where not known.
     """
 
     lamps: tuple[str, ...]
@@ -75,6 +78,7 @@ class Samples:
     block: int
     step: float
     rows: Rows
+    colour: Array | None = None
 
     def of(self, lamps: Sequence[str]) -> Samples:
         """The same of some of the lamps."""
@@ -86,6 +90,7 @@ class Samples:
             frames=self.frames[chosen],
             flats=None if flats is None else flats[chosen],
             rows=Rows(rows.frames[chosen], None if rows.flats is None else rows.flats[chosen], rows.dark),
+            colour=None if self.colour is None else self.colour[chosen],
         )
 
 
@@ -140,6 +145,7 @@ def sample_photographs(
             None if small is None else _row_means(small, black),
             None if dark is None else _zeroed(black),
         ),
+        colour=None if small is None else _colour(frames, small),
     )
 
 
@@ -148,6 +154,12 @@ def _known(means: BlockMeans) -> Array:
     light = grey(means.images)
     light[means.saturated | ~means.inside] = np.nan
     return light
+
+
+def _colour(frames: BlockMeans, flats: BlockMeans) -> Array | None:
+    """Colour relative to the flats, not of what is saturated in either, nor outside."""
+    unknown = frames.saturated | flats.saturated | ~frames.inside
+    return colour_light(np.where(unknown[..., None], np.float32(np.nan), frames.images), flats.images)
 
 
 def _row_means(means: BlockMeans, black: Array) -> Array:

@@ -49,13 +49,15 @@ def test_height_alone_is_no_exposure(sampled, height):
 
 @pytest.fixture
 def dark_and_glossy(simulated, photographs):
-    """Varnish on paint of a tenth of the albedo, of a scene."""
+    """Varnish, perhaps stronger, on paint of a tenth of the albedo or another share of it, of a scene."""
 
-    def made(scene, stand="horizontal"):
+    def made(scene, stand="horizontal", gloss=1.0, share=0.1):
         matt, capture = simulated(scene, stand), photographs(scene, stand, True)
         for n in range(1, 9):
             paint = tifffile.imread(matt / f"light_{n}.tif").astype(np.float32) - BLACK_LEVEL
-            capture.change(f"light_{n}.tif", lambda light, paint=paint: light - 0.9 * paint)
+            capture.change(
+                f"light_{n}.tif", lambda light, paint=paint: gloss * light - (gloss - share) * paint
+            )
         return capture
 
     return made
@@ -81,6 +83,16 @@ def test_another_exposure_is_told_under_varnish_on_dark_paint(dark_and_glossy, s
     (warning,) = [w for w in capture.said() if w.code == "exposure"]
     assert warning.lamps == (f"Relio_{number}",)
     assert warning.value == pytest.approx(-20, abs=4)
+
+
+@pytest.mark.parametrize("number", [None, 6])
+def test_another_exposure_is_told_by_the_colour_of_paint_where_gloss_hides_it(dark_and_glossy, number):
+    capture = dark_and_glossy("painting", "vertical-dark", gloss=2, share=0.15)
+    if number is not None:
+        capture.change_frames(lambda light: 0.8 * light, number)
+    found = [(w.lamps, w.value) for w in capture.said() if w.code == "exposure"]
+    expected = [] if number is None else [((f"Relio_{number}",), pytest.approx(-20, abs=4))]
+    assert found == expected
 
 
 @pytest.mark.parametrize("scene", ["painting", "plane"])
