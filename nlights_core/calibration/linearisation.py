@@ -207,7 +207,8 @@ def _eliminate(
     noisier = np.ones(bends.shape[1:])
     if rays is not None:
         ratio = _noise_against_matt(inverses, rays, precisions, scaled)
-        noisier = fill(_on_blocks(grid, pixels, ratio, usable))
+        if np.isfinite(ratio[usable]).any():  # else `fill` would say that there is no noise at all
+            noisier = fill(_on_blocks(grid, pixels, ratio, usable))
     return Equations(matrix, right, scatter, bends, scale, blocks, noise, noisier)
 
 

@@ -55,7 +55,6 @@ limit holds for what was found where highlights had little say."""
 SETTLED = 0.05
 """Change of a movement in samples below which a round was the last."""
 
-
 FINAL = 0.02
 """Change of a movement below which its last measurement has settled, px."""
 

@@ -15,7 +15,7 @@ GREY = 0.1
 """Colour below that share of the brightest channel is mostly noise."""
 
 DIM = 1e-4
-"""Share of saturation below which a flat says nothing."""
+"""Share of saturation below which a flat, or the brightest lamp at a place, says nothing."""
 
 AROUND = 5
 """Samples over which light is averaged: dark paint is noisy, and the mean of matt light is matt light."""

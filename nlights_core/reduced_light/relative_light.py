@@ -15,6 +15,7 @@ from scipy.ndimage import minimum_filter, uniform_filter
 
 from nlights_core.fields import LightField
 from nlights_core.frames import Array, PixelGrid
+from nlights_core.reduced_light.colours import DIM
 from nlights_core.reduced_light.samples import Samples
 
 FEWEST = 5
@@ -44,9 +45,6 @@ DUST = 15
 
 SPECK = np.float32(0.01)
 """Deviation of a flat from the mean around it that is no speck of dust."""
-
-DIM = 1e-4
-"""Share of saturation below which a flat, or the brightest lamp at a place, says nothing."""
 
 
 @dataclass(frozen=True)
