@@ -47,6 +47,7 @@ def linearise_samples(
     alphas: Array,
     departure: float,
     flat_gloss: Array,
+    sought: Array,
     misfit: float,
     step: float,
     first: int,
@@ -72,6 +73,8 @@ def linearise_samples(
         Scaled normals, NaN where not known.
     flat_gloss : (F,) float64 array
         Strengths of the lobes of the flat.
+    sought : (S,) int array
+        Places of the lobes of the surface whose derivatives are wanted; those of the others stay 0.
     columns : (N, L, 1 + L + K + 3 + F) float64 array
         Receives, for what is predicted less what is observed: per mm of level; per unit of the logarithm of each
         lamp's strength; per lobe; per departure; per additive light; per light of the room; per lobe of the flat.
@@ -83,11 +86,11 @@ def linearise_samples(
     count = len(images)
     ray, raised = np.empty(RAY), np.empty(RAY)
     b, own, slope, upwards = np.empty(3), np.empty(2), np.empty(3), np.array([0.0, 0.0, 1.0])
-    lobes, every, of_flat = np.flatnonzero(gloss), np.arange(COUNT), np.arange(len(FLAT_ALPHAS))
+    lobes, of_flat = np.flatnonzero(gloss), np.arange(len(FLAT_ALPHAS))
     # Of the normal, of the normal seen from a raised point, and of the flat.
     face, raised_face, flat_face = np.empty(FACE), np.empty(FACE), np.empty(FACE)
     hidden, raised_hidden = np.empty((len(lobes), 2)), np.empty((len(lobes), 2))
-    every_hidden, flat_hidden = np.empty((COUNT, 2)), np.empty((len(FLAT_ALPHAS), 2))
+    sought_hidden, flat_hidden = np.empty((len(sought), 2)), np.empty((len(FLAT_ALPHAS), 2))
     additive = 1 + count + COUNT + 1
     for p in range(first, last):
         b[0], b[1], b[2] = scaled[p, 0], scaled[p, 1], scaled[p, 2]
@@ -98,7 +101,7 @@ def linearise_samples(
         if not b[2] > 0:
             continue
         (vx, vy, vz), (wx, wy, wz) = _vector(views, p), _vector(raised_views, p)
-        turn(b, vx, vy, vz, every, alphas, FACETS, face, every_hidden)
+        turn(b, vx, vy, vz, sought, alphas, FACETS, face, sought_hidden)
         turn(b, vx, vy, vz, lobes, alphas, FACETS, face, hidden)
         turn(b, wx, wy, wz, lobes, alphas, FACETS, raised_face, raised_hidden)
         turn(upwards, vx, vy, vz, of_flat, FLAT_ALPHAS, FLAT_FACETS, flat_face, flat_hidden)
@@ -122,7 +125,7 @@ def linearise_samples(
             # mean: so the change of the predicted reading is taken.
             of[0] = (above - value * dimmer[k, p]) / step
             of[1 + k] = value
-            _derive_by_surface(alphas, ray, face, every_hidden, own, of, 1 + count)
+            _derive_by_surface(sought, alphas, ray, face, sought_hidden, own, of, 1 + count)
             of[additive] = per_flat[k, p] * (1 - value)
             of[additive + 1] = per_flat[k, p] * (size - value)
             _derive_by_flat(flat_gloss, value, ray, flat_hidden, own, of, additive + 2)
@@ -136,7 +139,7 @@ def _vector(of: Array, p: int) -> tuple[float, float, float]:
 
 @numba.njit(inline="always")
 def _derive_by_surface(
-    alphas: Array, ray: Array, face: Array, hidden: Array, own: Array, out: Array, at: int
+    sought: Array, alphas: Array, ray: Array, face: Array, hidden: Array, own: Array, out: Array, at: int
 ) -> None:
     """Fill in a sample's derivatives by the lobes and by the departure, one after the other; 0 stays where it is."""
     nx, ny, nz, size, seen = face[0], face[1], face[2], face[3], face[4]
@@ -145,8 +148,9 @@ def _derive_by_surface(
         return
     upright = nx * ray[7] + ny * ray[8] + nz * ray[9]
     if upright > 0:
-        for j in range(COUNT):
-            shine = lobe(alphas[j], FACETS[j], upright, lit, ray[10], hidden[j, 0], own)
+        for h in range(len(sought)):
+            j = sought[h]
+            shine = lobe(alphas[j], FACETS[j], upright, lit, ray[10], hidden[h, 0], own)
             out[at + j] = shine * ray[3] * LOBE_SCALE
     across = ray[11] - lit * seen
     if across > 0:

@@ -79,12 +79,12 @@ def choose_groups(
         alternatives = {name: some[-1:] for name, some in alternatives.items()}
     trials = [[group for group in some if group] for some in product(*alternatives.values())]
     return max(
-        (_fit(matrix, right, precisions, centres, some, always) for some in trials),
+        (fit_groups(matrix, right, precisions, centres, some, always) for some in trials),
         key=lambda found: found.evidence,
     )
 
 
-def _fit(
+def fit_groups(
     matrix: Array,
     right: Array,
     precisions: Array,
@@ -92,7 +92,10 @@ def _fit(
     some: Sequence[Group],
     always: Sequence[int],
 ) -> Found:
-    """Fit a choice of groups; what cannot be negative and would be is taken out, the most negative first."""
+    """Fit a choice of groups; what cannot be negative and would be is taken out, the most negative first.
+
+    Parameters are those of `choose_groups`.
+    """
     free = [*always, *(place for group in some for place in group.places)]
     positive = {place for group in some if group.positive for place in group.places}
     while True:
@@ -166,11 +169,11 @@ def covariance(equations: Equations, shared: Shared, found: Found) -> Array:
     inverse = np.linalg.inv(equations.matrix[block] + np.diag(precisions[places]))
     scattered = inverse @ (equations.scatter[block] + np.diag(precisions[places])) @ inverse
     out = np.zeros_like(equations.matrix)
-    out[block] = _larger(inverse, scattered)
+    out[block] = larger_covariance(inverse, scattered)
     return out
 
 
-def _larger(one: Array, other: Array) -> Array:
+def larger_covariance(one: Array, other: Array) -> Array:
     """The least covariance that is no smaller than one, and in no direction of that smaller than another."""
     root = np.linalg.cholesky(one)
     back = np.linalg.inv(root)

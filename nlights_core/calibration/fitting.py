@@ -9,7 +9,7 @@ import numpy as np
 
 from nlights_core.algorithms import PHOTONS
 from nlights_core.calibration import evidence
-from nlights_core.calibration.lamp_positions import bends_by_positions
+from nlights_core.calibration.lamp_positions import NOISE_ALONE, columns_of_positions, fit_with_positions
 from nlights_core.calibration.linearisation import (
     TUNING,
     Equations,
@@ -40,10 +40,10 @@ from nlights_core.solving.least_squares import fit, lit
 PIXELS = 20_000
 """About how many pixels have a say."""
 
-FEWER_PIXELS = 5_000
-"""The same for what wrong positions of lamps do, which is smooth."""
+MORE_PIXELS = 60_000
+"""The same in the last fit: what drift there was is told by noise alone."""
 
-ROUNDS = 5
+ROUNDS = 4
 """At the most, in which values and height are found; a level of millimetres bends the relief, which bends the level:
 each round leaves a fifth of it."""
 
@@ -96,8 +96,6 @@ class Calibration:
         Pixels of another material.
     apart : (h, w) float32 array
         What these do to the height if their own normals are taken for right, mm.
-    by_positions : (3 L, h, w) float64 array
-        Bends of the height by a millimetre of each coordinate of each lamp, on coarse blocks, mm.
     """
 
     shared: Shared
@@ -107,7 +105,6 @@ class Calibration:
     height: Array
     strange: Array
     apart: Array
-    by_positions: Array
 
 
 def calibrate(
@@ -115,6 +112,7 @@ def calibrate(
     lights: LightField,
     flat_field: FlatField,
     chosen: tuple[str, ...],
+    positions: float | None = None,
     progress: Callable[[float], None] = lambda _: None,
 ) -> Calibration:
     """Find what all pixels of a tile share.
@@ -127,6 +125,8 @@ def calibrate(
         Near lamps, and what a flat reads.
     chosen : tuple of str
         Groups that may be believed; without "level" the surface is taken to lie in the plane of the flat.
+    positions : float, optional
+        Standard uncertainty of each coordinate of each lamp, mm; None: not known, and taken for 0.
     progress : callable
         Told the share done.
 
@@ -142,8 +142,14 @@ def calibrate(
     state = _State(nothing(count), np.zeros(room.grid.shape, np.float32))
     found: evidence.Found | None = None
     for number in range(ROUNDS):
-        _follow(state, room, raw, lights, flat_field)
-        assert state.equations is not None
+        flat, readings = _follow(state, room, raw, lights, flat_field)
+        assert state.scaled is not None
+        pixels = _pixels(state, room, raw, readings, PIXELS)
+        at = (pixels.rows, pixels.columns)
+        state.equations = linearise(
+            room, pixels, lights, flat, state.height[at], state.scaled[at], state.shared
+        )
+        state.spread = state.equations.scale
         before, last = state.shared, found
         found = evidence.choose_clear(state.equations, before, kinds, number < WITHOUT_CHOICE, always)
         stands = (
@@ -158,22 +164,20 @@ def calibrate(
             break
     assert found is not None
     assert state.equations is not None
-    covariance = evidence.covariance(state.equations, state.shared, found) + _doubt(
-        state, before, found, kinds
-    )
+    doubt = _doubt(state, before, found, kinds)
     believed = (*(name for name in chosen if name == "level"), *found.believed)
+    free = found.free
     if smooth_residual(state.equations) > LOST:
         # What is believed of photographs that the model does not fit would be wrong: nothing is taken out of them.
         state = _State(nothing(count), np.zeros(room.grid.shape, np.float32))
-        _follow(state, room, raw, lights, flat_field)
-        believed, covariance = (), np.zeros_like(covariance)
-    _follow(state, room, raw, lights, flat_field, equations=False)
-    assert state.equations is not None
+        believed, free = (), ()
+    # A drift moves strengths and height by turns, and once does not settle both.
+    for _ in range(2 if "lamps" in believed else 1):
+        covariance = _fit_last(state, room, raw, lights, flat_field, free, positions, doubt)
     apart = _with_strange(state, room, raw, lights, flat_field) - state.height
-    free = found.free if believed else ()
-    by_positions = _by_positions(state, room, raw, lights, flat_field, free)
+    assert state.equations is not None
     return Calibration(
-        state.shared, believed, covariance, state.equations, state.height, state.strange, apart, by_positions
+        state.shared, believed, covariance, state.equations, state.height, state.strange, apart
     )
 
 
@@ -190,27 +194,45 @@ class _State:
 
 
 def _follow(
-    state: _State,
-    room: ReducedRoom,
-    raw: Raw,
-    lights: LightField,
-    flat_field: FlatField,
-    *,
-    equations: bool = True,
-) -> None:
-    """Let normals, height and equations follow what is believed of all pixels."""
+    state: _State, room: ReducedRoom, raw: Raw, lights: LightField, flat_field: FlatField
+) -> tuple[FlatField, Raw]:
+    """Let normals and height follow what is believed of all pixels; return flat field and readings so corrected."""
     flat = flat_field_of(flat_field, lights, state.shared)
     readings = corrected(raw, flat_field, state.shared, state.scaled)
     height, shared = state.height, state.shared
     state.scaled, surprise = _solve(room, readings, lights, flat, height, shared, state.scaled, state.spread)
     state.strange = _strange(surprise)
     state.height = _integrate(room, state.scaled, state.strange, shared.level)
-    if not equations:
-        return
-    pixels = _pixels(state, room, raw, readings, PIXELS)
-    place = (pixels.rows, pixels.columns)
-    state.equations = linearise(room, pixels, lights, flat, state.height[place], state.scaled[place], shared)
-    state.spread = state.equations.scale
+    return flat, readings
+
+
+def _fit_last(
+    state: _State,
+    room: ReducedRoom,
+    raw: Raw,
+    lights: LightField,
+    flat_field: FlatField,
+    free: tuple[int, ...],
+    positions: float | None,
+    doubt: Array,
+) -> Array:
+    """Fit what is believed once more, with more pixels and with the lamps' positions; return the covariance."""
+    flat, readings = _follow(state, room, raw, lights, flat_field)
+    assert state.scaled is not None
+    pixels = _pixels(state, room, raw, readings, MORE_PIXELS)
+    at = (pixels.rows, pixels.columns)
+    z, scaled = state.height[at], state.scaled[at]
+    places = np.array(sorted({0, *free}), np.intp)
+    more = None if positions is None else columns_of_positions(room, pixels, lights, flat, z, scaled)
+    state.equations = linearise(
+        room, pixels, lights, flat, z, scaled, state.shared, places=places, more=more, independent=NOISE_ALONE
+    )
+    values, covariance = fit_with_positions(state.equations, state.shared, places, free, positions or 1.0)
+    if free:
+        covariance[: len(places), : len(places)] += doubt[np.ix_(places, places)]
+        state.shared = state.shared.moved(values)
+        _follow(state, room, raw, lights, flat_field)
+    return covariance
 
 
 def _pixels(state: _State, room: ReducedRoom, raw: Raw, readings: Raw, wanted: int) -> Pixels:
@@ -218,24 +240,6 @@ def _pixels(state: _State, room: ReducedRoom, raw: Raw, readings: Raw, wanted: i
     assert state.scaled is not None
     known = np.isfinite(state.scaled[..., 0]) & ~state.strange & raw.inside
     return choose_pixels(room, readings, known, wanted)
-
-
-def _by_positions(
-    state: _State,
-    room: ReducedRoom,
-    raw: Raw,
-    lights: LightField,
-    flat_field: FlatField,
-    free: tuple[int, ...],
-) -> Array:
-    """Bends of the height by a millimetre of each coordinate of each lamp; see `bends_by_positions`."""
-    flat = flat_field_of(flat_field, lights, state.shared)
-    readings = corrected(raw, flat_field, state.shared, state.scaled)
-    pixels = _pixels(state, room, raw, readings, FEWER_PIXELS)
-    place = (pixels.rows, pixels.columns)
-    assert state.scaled is not None
-    height, scaled = state.height[place], state.scaled[place]
-    return bends_by_positions(room, pixels, lights, flat, height, scaled, state.shared, free)
 
 
 def _narrow(state: _State, before: Shared, found: evidence.Found, kinds: list[Group], width: float) -> Shared:

@@ -1,7 +1,8 @@
-"""Positions of the lamps: what their uncertainty does to the values that all pixels share, and to the height.
+"""Positions of the lamps: they are fitted with the values that all pixels share, about what the stand's file says.
 
 A flat holds the light of each lamp wherever it stands, so a position that is wrong by a millimetre hardly bends the
-height by itself.  But where lamps are believed to have changed, it is partly taken for a change.
+height by itself.  But under a lamp that stands elsewhere texture has another contrast, and where lamps are believed
+to have changed, that is taken for a change.  Texture tells which of the two it is.
 """
 
 from __future__ import annotations
@@ -10,9 +11,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from nlights_core.calibration.linearisation import linearise
+from nlights_core.calibration import evidence
+from nlights_core.calibration.linearisation import INDEPENDENT, Equations
 from nlights_core.calibration.sampling import Pixels, Samples, develop_pixels
-from nlights_core.calibration.unknowns import Shared, prior
+from nlights_core.calibration.unknowns import Group, Shared, groups, prior
 from nlights_core.fields import LightField
 from nlights_core.frames import Array
 from nlights_core.near_light.overview import ReducedRoom
@@ -21,18 +23,20 @@ from nlights_core.photographs.flat_fields import FlatField
 SHIFT = 1.0
 """Shift of a lamp over which derivatives are taken, mm."""
 
+NOISE_ALONE = 10_000
+"""As how many independent pixels they count in the last fit, and in the uncertainty of what is the lamps': noise is
+each pixel's own.  Formulas of gloss, and the flat, are wrong for all pixels alike: see `INDEPENDENT`."""
 
-def bends_by_positions(
+
+def columns_of_positions(
     room: ReducedRoom,
     pixels: Pixels,
     lights: LightField,
     flat_field: FlatField,
     z: Array,
     scaled: Array,
-    shared: Shared,
-    free: tuple[int, ...],
 ) -> Array:
-    """Bends of the height by a millimetre of each coordinate of each lamp, (3 L, h, w) on coarse blocks, mm.
+    """Changes of what is predicted by a millimetre of each coordinate of each lamp, (N, L, 3 L).
 
     Parameters
     ----------
@@ -45,10 +49,6 @@ def bends_by_positions(
         Heights, mm.
     scaled : (N, 3) float64 array
         Scaled normals.
-    shared : Shared
-        What was found.
-    free : tuple of int
-        Places of the unknowns that were fitted, which answer to a wrong position as well.
     """
     here = develop_pixels(room, pixels, lights, flat_field, z)
     count = len(here.images)
@@ -58,15 +58,68 @@ def bends_by_positions(
         change = _change(here, develop_pixels(room, pixels, moved, flat_field, z), scaled) / SHIFT
         for lamp in range(count):
             more[:, lamp, lamp, axis] = change[lamp]
-    equations = linearise(
-        room, pixels, lights, flat_field, z, scaled, shared, more.reshape(len(scaled), count, -1)
-    )
-    known = len(shared.vector())
-    places = np.array(free, np.intp)
-    precisions, _ = prior(shared)
-    inner = equations.matrix[np.ix_(places, places)] + np.diag(precisions[places])
-    answer = np.linalg.solve(inner, equations.matrix[places, known:])
-    return np.asarray(np.tensordot(answer.T, equations.bends[places], 1) - equations.bends[known:])
+    return more.reshape(len(scaled), count, -1)
+
+
+def fit_with_positions(
+    equations: Equations, shared: Shared, places: Array, free: tuple[int, ...], uncertainty: float
+) -> tuple[Array, Array]:
+    """Fit shared unknowns and the lamps' positions together.
+
+    Parameters
+    ----------
+    equations : Equations
+        Of the unknowns at ``places`` of the shared ones, and of each coordinate of each lamp behind them.
+    shared : Shared
+        Values that the equations were made with.
+    places : (S,) int array
+        The level (0) first.
+    free : tuple of int
+        Places of those that are fitted; the others keep their values.
+    uncertainty : float
+        Standard uncertainty of each coordinate, mm.
+
+    Returns
+    -------
+    values : (M,) float64 array
+        Of the shared unknowns.
+    covariance : (S + 3 L, S + 3 L) float64 array
+        Of what the equations are of.
+    """
+    vector = shared.vector()
+    more = len(equations.right) - len(places)
+    precisions, centres = prior(shared)
+    precisions = np.append(precisions[places], np.full(more, uncertainty**-2))
+    centres = np.append(centres[places], np.zeros(more))
+    right = equations.right + equations.matrix @ np.append(vector[places], np.zeros(more))
+    order = {place: number for number, place in enumerate(places.tolist())}
+    positive = {place for group in groups(len(shared.strengths)) if group.positive for place in group.places}
+    limited = Group("", tuple(order[place] for place in free if place in positive), True)
+    always = [order[place] for place in free if place not in positive]
+    always += range(len(places), len(places) + more)
+    found = evidence.fit_groups(equations.matrix, right, precisions, centres, [limited], always)
+    kept = np.array(found.free, np.intp)
+    values = vector.copy()
+    values[list(free)] = found.values[[order[place] for place in free]]
+    lamps = np.isin(kept, [order[1 + k] for k in range(len(shared.strengths)) if 1 + k in order])
+    lamps |= kept >= len(places)
+    covariance = np.zeros_like(equations.matrix)
+    covariance[np.ix_(kept, kept)] = _covariance(equations, precisions, kept, lamps)
+    # Heights are computed with the positions of the stand's file, whatever was found.
+    last = np.arange(len(places), len(covariance))
+    covariance[np.ix_(last, last)] = uncertainty**2 * np.eye(more)
+    return values, covariance
+
+
+def _covariance(equations: Equations, precisions: Array, places: Array, lamps: Array) -> Array:
+    """Covariance of what was fitted; see `nlights_core.calibration.evidence.covariance`."""
+    block = np.ix_(places, places)
+    own = np.diag(precisions[places])
+    less = np.sqrt(np.where(lamps, 1.0, INDEPENDENT / NOISE_ALONE))
+    inverse = np.linalg.inv(equations.matrix[block] + own)
+    scattered = inverse @ (equations.scatter[block] + own) @ inverse
+    wide = np.linalg.inv(equations.matrix[block] * np.outer(less, less) + own)
+    return evidence.larger_covariance(wide, scattered)
 
 
 def _change(here: Samples, there: Samples, scaled: Array) -> Array:

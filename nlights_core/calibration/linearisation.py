@@ -102,7 +102,10 @@ def linearise(
     z: Array,
     scaled: Array,
     shared: Shared,
+    *,
+    places: Array | None = None,
     more: Array | None = None,
+    independent: int = INDEPENDENT,
 ) -> Equations:
     """Linearise the samples of some pixels about the present values.
 
@@ -118,8 +121,12 @@ def linearise(
         Scaled normals; NaN: has no say.
     shared : Shared
         Present values.
+    places : (S,) int array, optional
+        Of the shared unknowns that are looked at, the level (0) first; default: all.
     more : (N, L, E) float64 array, optional
         Columns of further unknowns, behind those of the shared ones.
+    independent : int
+        As how many independent pixels they all count.
     """
     from nlights_core.calibration.compiled_elimination import linearise_samples
 
@@ -133,8 +140,11 @@ def linearise(
     slopes, residuals, precisions = np.empty((size, count, 3)), *np.empty((2, size, count))
     given = (here.images, here.lights, here.weights, here.views, above.lights, above.views, dimmer, constant)
     a, b, c, d, e, f, g, h = (np.ascontiguousarray(array, np.float32) for array in given)
+    sought = np.arange(len(KINDS))
+    if places is not None:
+        sought = sought[np.isin(sought + 1 + count, places)]
     values = (
-        scaled, shared.gloss, shared.roughnesses, shared.departure, shared.flat_gloss, MISFIT, STEP,
+        scaled, shared.gloss, shared.roughnesses, shared.departure, shared.flat_gloss, sought, MISFIT, STEP,
     )  # fmt: skip
 
     def some(first: int, last: int) -> None:
@@ -143,11 +153,13 @@ def linearise(
         )
 
     _in_parts(size, some)
+    if places is not None:
+        columns = np.take(columns, places, axis=2)
     if more is not None:
         columns = np.concatenate([columns, more], axis=2)
     matt = not shared.gloss.any() and not shared.departure
     rays = None if matt else np.moveaxis(here.lights, 1, 0)
-    return _eliminate(room.grid, pixels, columns, slopes, residuals, precisions, scaled, rays)
+    return _eliminate(room.grid, pixels, columns, slopes, residuals, precisions, scaled, rays, independent)
 
 
 def _eliminate(
@@ -159,6 +171,7 @@ def _eliminate(
     precisions: Array,
     scaled: Array,
     rays: Array | None,
+    independent: int,
 ) -> Equations:
     """Eliminate the normals, and add to each column the bend of the height that it makes.
 
@@ -195,7 +208,7 @@ def _eliminate(
         matrices.append((first, matrix))
 
     _in_parts(size, add)
-    share = min(1.0, INDEPENDENT / max(int(usable.sum()), 1)) / scale**2
+    share = min(1.0, independent / max(int(usable.sum()), 1)) / scale**2
     # In their order, so that the sum is the same however many threads there are.
     matrix = share * np.sum([part for _, part in sorted(matrices, key=lambda one: one[0])], axis=0)
     matrix = np.triu(matrix) + np.triu(matrix, 1).T

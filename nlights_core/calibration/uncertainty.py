@@ -50,9 +50,7 @@ class SmoothErrors(NamedTuple):
     noise: float
 
 
-def smooth_errors(
-    found: Calibration, lights: LightField, grid: PixelGrid, positions: float | None = None
-) -> SmoothErrors:
+def smooth_errors(found: Calibration, lights: LightField, grid: PixelGrid) -> SmoothErrors:
     """Propagate the covariance of the shared unknowns, and what the model misses, to height and slopes.
 
     Parameters
@@ -62,8 +60,6 @@ def smooth_errors(
         Near lamps.
     grid : PixelGrid
         Of the reduced photographs.
-    positions : float, optional
-        Standard uncertainty of each coordinate of each lamp, mm; None: not known, and taken for 0.
     """
     equations = found.equations
     coarse = coarse_grid(grid)
@@ -71,10 +67,6 @@ def smooth_errors(
     across, down = (np.gradient(equations.bends, coarse.pixel_size, axis=axis) for axis in (2, 1))
     slope = np.einsum("mhw,mn,nhw->hw", across, found.covariance, across) / 2
     slope += np.einsum("mhw,mn,nhw->hw", down, found.covariance, down) / 2
-    # What is known about the lamps is no guess that captures have shown to be too large.
-    bent = (positions or 0.0) / SHARE * found.by_positions
-    variance += np.sum(bent**2, axis=0)
-    slope += sum(np.sum(np.gradient(bent, coarse.pixel_size, axis=axis) ** 2, axis=0) / 2 for axis in (1, 2))
     missed, missed_slope = _misfit(smooth_blocks(equations), lights, coarse)
     if found.strange.any():
         apart = block_means(found.apart - np.median(found.apart), CELL, coarse)

@@ -62,10 +62,10 @@ def calibration(
                 write_nothing(folder, len(field.lamps), grid, noisier)
                 return
             small = reduced_room(room, lambda share: progress(0.5 * share))
-        found = calibrate(small, field, divisor, groups, lambda share: progress(0.5 + 0.5 * share))
+        found = calibrate(small, field, divisor, groups, positions, lambda share: progress(0.5 + 0.5 * share))
         missed = unreached(small.grid, found.height, field)
         answers = compare_halves(small, field, divisor, found)
-        errors = smooth_errors(found, field, small.grid, positions)
+        errors = smooth_errors(found, field, small.grid)
         if shifts:
             errors = errors._replace(noisier=errors.noisier * np.float32(noise_left(shifts.values())))
         write_calibration(folder, found, errors, missed, answers, noisier)

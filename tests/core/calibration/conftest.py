@@ -109,7 +109,8 @@ def calibrated() -> Callable[..., Calibrated]:
     def find(capture: Capture, chosen: tuple[str, ...] = ("level", *GROUPS)) -> Calibrated:
         with TemporaryDirectory() as scratch:
             room, lights, flat_field = read(capture, Path(scratch))
-        found = calibrate(room, lights, flat_field, chosen)
+        # As the chain does: positions are as uncertain as the stand's file says.
+        found = calibrate(room, lights, flat_field, chosen, capture.tile.stand.uncertainty_mm)
         return Calibrated(
             room, lights, flat_field, found, smooth_errors(found, lights, room.grid), capture.height
         )

@@ -50,7 +50,7 @@ def read(lights, views, scaled, gloss, departure=DEPARTURE):
     return np.einsum("lnk,nk->ln", lights, scaled) + shine + rough * albedo
 
 
-def linearised(scene, flat_gloss=None, **changed):
+def linearised(scene, flat_gloss=None, sought=None, **changed):
     lights, views, scaled, gloss = scene
     columns, slopes = np.empty((PIXELS, LAMPS, UNKNOWNS)), np.empty((PIXELS, LAMPS, 3))
     residuals, precisions = np.empty((2, PIXELS, LAMPS))
@@ -60,8 +60,9 @@ def linearised(scene, flat_gloss=None, **changed):
         "raised_views": views, "dimmer": ones, "per_flat": ones,
     } | changed  # fmt: skip
     flat_gloss = np.zeros(len(FLAT_LOBES)) if flat_gloss is None else flat_gloss
+    sought = np.arange(len(KINDS)) if sought is None else sought
     linearise_samples(
-        *given.values(), scaled, gloss, ALPHAS, DEPARTURE, flat_gloss, MISFIT, STEP, 0, PIXELS,
+        *given.values(), scaled, gloss, ALPHAS, DEPARTURE, flat_gloss, sought, MISFIT, STEP, 0, PIXELS,
         columns, slopes, residuals, precisions,
     )  # fmt: skip
     return columns, slopes, residuals, precisions
@@ -116,6 +117,16 @@ def test_columns_of_the_surface_and_the_lamps_are_those_of_small_differences(sce
         np.testing.assert_allclose(columns[..., 1 + LAMPS + j], expected.T, rtol=1e-5, atol=1e-9)
     expected = read(lights, views, scaled, gloss, DEPARTURE + 0.5) - read(lights, views, scaled, gloss)
     np.testing.assert_allclose(columns[..., 1 + LAMPS + len(KINDS)], expected.T / 0.5, rtol=1e-5, atol=1e-9)
+
+
+def test_lobes_that_are_not_sought_have_no_column_and_change_no_other(scene):
+    every, sought = linearised(scene)[0], np.array([1, 5, 14])
+    some = linearised(scene, sought=sought)[0]
+    kept = np.isin(np.arange(UNKNOWNS) - 1 - LAMPS, sought)
+    lobes = np.isin(np.arange(UNKNOWNS) - 1 - LAMPS, np.arange(len(KINDS)))
+    np.testing.assert_array_equal(some[..., kept | ~lobes], every[..., kept | ~lobes])
+    assert not some[..., lobes & ~kept].any()
+    assert every[..., lobes & ~kept].any(axis=(0, 1)).all()
 
 
 def test_columns_of_light_that_is_always_there_are_what_frames_and_flats_have_of_it(scene):
