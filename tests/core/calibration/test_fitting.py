@@ -148,8 +148,8 @@ def test_without_the_level_a_raised_capture_stays_in_the_plane_of_the_flat(simul
     scene = calibrated(simulated("plane", level=1.0, width=160), ())
     assert scene.found.believed == ()
     assert scene.found.shared.level == 0
-    assert scene.found.height.mean() == pytest.approx(0, abs=1e-4)
     assert not scene.found.covariance[0].any()  # of the level
+    assert scene.found.height.mean() == pytest.approx(0, abs=1e-4)
 
 
 def test_patches_of_another_material_have_no_say(simulated, calibrated):
