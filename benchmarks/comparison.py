@@ -26,8 +26,8 @@ RECIPES = ("default", "paper", "paper-compensated", "psbox")
 REFINED = ("paper", "paper-compensated")
 """Measured once more without the refinement of the lamps, for the table only."""
 HEADING = """\
-| recipe | normals mean, median, degrees (S) | covered, % (S) | height rms, median, largest, mm (S) | known, % |
-|---|---|---|---|---|"""
+| recipe | normals mean, median, degrees (S) | covered, % | height rms, median, largest, mm (S) | covered, % | known, % |
+|---|---|---|---|---|---|"""
 
 
 def heights(found: dict[str, Array], width_mm: float) -> Figure:
@@ -77,9 +77,14 @@ def row(name: str, products: Path, truth: Path) -> str:
     median = np.nanmedian(np.abs(height - np.nanmean(height)))
     return (
         f"| {name} | {error['angle_mean_deg']:.3f}, {error['angle_median_deg']:.3f} | "
-        f"{100 * error['normals_coverage']:.0f} | {error['height_rms_mm']:.3f}, {median:.3f}, "
-        f"{error['height_max_mm']:.3f} | {100 * error['known_share']:.1f} |"
+        f"{_percent(error['normals_coverage'])} | {error['height_rms_mm']:.3f}, {median:.3f}, "
+        f"{error['height_max_mm']:.3f} | {_percent(error['height_coverage'])} | {100 * error['known_share']:.1f} |"
     )
+
+
+def _percent(share: float) -> str:
+    """A share in whole per cent; what no product states was not measured."""
+    return "not stated" if np.isnan(share) else f"{100 * share:.0f}"
 
 
 def main() -> None:
