@@ -25,9 +25,11 @@ PLACE = Path(__file__).parents[1] / "docs" / "comparison"
 RECIPES = ("default", "paper", "paper-compensated", "psbox")
 REFINED = ("paper", "paper-compensated")
 """Measured once more without the refinement of the lamps, for the table only."""
-HEADING = """\
-| recipe | normals mean, median, degrees (S) | covered, % | height rms, median, largest, mm (S) | covered, % | known, % |
-|---|---|---|---|---|---|"""
+HEADING = (
+    "| recipe | normals mean, median, degrees (S) | covered, % "
+    "| height rms, median, largest, mm (S) | covered, % | known, % |\n"
+    "|---|---|---|---|---|---|"
+)
 
 
 def heights(found: dict[str, Array], width_mm: float) -> Figure:
