@@ -31,17 +31,20 @@ from nlights_core.errors import TileError
 from nlights_core.fields import LightField
 from nlights_core.frames import Array
 from nlights_core.integration.normal_integration import least_squares_height
-from nlights_core.near_light.overview import ReducedRoom
+from nlights_core.near_light.overview import ReducedRoom, thinned_room
 from nlights_core.photographs.development import Raw
 from nlights_core.photographs.flat_fields import FlatField
 from nlights_core.solving.kernels import robust_solution
 from nlights_core.solving.least_squares import fit, lit
 
-PIXELS = 20_000
+PIXELS = 12_000
 """About how many pixels have a say."""
 
 MORE_PIXELS = 60_000
-"""The same in the last fit: what drift there was is told by noise alone."""
+"""The same in the last fit where lamps have changed: by how much is told by noise alone."""
+
+THINNED = 4 * PIXELS
+"""Pixels from which on only every other row and column is looked at before the last fit."""
 
 ROUNDS = 4
 """At the most, in which values and height are found; a level of millimetres bends the relief, which bends the level:
@@ -135,19 +138,20 @@ def calibrate(
     TileError
         When no normal could be found.
     """
-    raw = room.raw(0, room.grid.rows, lights)
     count = len(lights.lamps)
+    thin = thinned_room(room) if room.grid.rows * room.grid.columns >= THINNED else room
+    raw = thin.raw(0, thin.grid.rows, lights)
     kinds = [group for group in groups(count) if group.name in chosen]
     always = (0,) if "level" in chosen else ()
-    state = _State(nothing(count), np.zeros(room.grid.shape, np.float32))
+    state = _State(nothing(count), np.zeros(thin.grid.shape, np.float32))
     found: evidence.Found | None = None
     for number in range(ROUNDS):
-        flat, readings = _follow(state, room, raw, lights, flat_field)
+        flat, readings = _follow(state, thin, raw, lights, flat_field)
         assert state.scaled is not None
-        pixels = _pixels(state, room, raw, readings, PIXELS)
+        pixels = _pixels(state, thin, raw, readings, PIXELS)
         at = (pixels.rows, pixels.columns)
         state.equations = linearise(
-            room, pixels, lights, flat, state.height[at], state.scaled[at], state.shared
+            thin, pixels, lights, flat, state.height[at], state.scaled[at], state.shared
         )
         state.spread = state.equations.scale
         before, last = state.shared, found
@@ -171,6 +175,9 @@ def calibrate(
         # What is believed of photographs that the model does not fit would be wrong: nothing is taken out of them.
         state = _State(nothing(count), np.zeros(room.grid.shape, np.float32))
         believed, free = (), ()
+    else:
+        _widen(state, room.grid.shape)
+    raw = room.raw(0, room.grid.rows, lights)
     # A drift moves strengths and height by turns, and once does not settle both.
     for _ in range(2 if "lamps" in believed else 1):
         covariance = _fit_last(state, room, raw, lights, flat_field, free, positions, doubt)
@@ -191,6 +198,15 @@ class _State:
     spread: float = 0.0
     strange: Array = field(default_factory=lambda: np.zeros((0, 0), bool))
     equations: Equations | None = None
+
+
+def _widen(state: _State, shape: tuple[int, int]) -> None:
+    """Begin the last fit at all pixels with what was found at every other one."""
+    assert state.scaled is not None
+    if state.height.shape != shape:
+        rows, columns = (np.arange(length) // 2 for length in shape)
+        state.height = state.height[rows][:, columns]
+        state.scaled = state.scaled[rows][:, columns]
 
 
 def _follow(
@@ -219,7 +235,8 @@ def _fit_last(
     """Fit what is believed once more, with more pixels and with the lamps' positions; return the covariance."""
     flat, readings = _follow(state, room, raw, lights, flat_field)
     assert state.scaled is not None
-    pixels = _pixels(state, room, raw, readings, MORE_PIXELS)
+    changed = bool(state.shared.strengths.any())
+    pixels = _pixels(state, room, raw, readings, MORE_PIXELS if changed else PIXELS)
     at = (pixels.rows, pixels.columns)
     z, scaled = state.height[at], state.scaled[at]
     places = np.array(sorted({0, *free}), np.intp)

@@ -8,7 +8,7 @@ from nlights_core.configurations import load_stand
 from nlights_core.fields import LightField
 from nlights_core.frames import PixelGrid
 from nlights_core.manifest import load_capture
-from nlights_core.near_light.overview import Enlarged, block_edge, reduced_room
+from nlights_core.near_light.overview import Enlarged, block_edge, reduced_room, thinned_room
 from nlights_core.photographs.block_means import middle_lines
 from nlights_core.photographs.development import darkroom
 from nlights_core.recipe import load_recipe
@@ -23,6 +23,20 @@ def relief(tmp_path_factory):
     folder = tmp_path_factory.mktemp("relief") / "capture"
     simulate(folder, load_stand("vertical-dark"), scene="relief", width=1051, seed=3)
     return folder
+
+
+def test_thinned_photographs_are_every_other_pixel_where_it_lies(relief, tmp_path):
+    tile = load_capture(relief)[0]
+    with darkroom(tile, tmp_path) as room:
+        small = reduced_room(room, lambda _: None)
+    thin = thinned_room(small)
+    assert small.grid.columns % 2 == 1  # an odd length and an even one
+    assert small.grid.rows % 2 == 0
+    np.testing.assert_array_equal(thin.images, small.images[:, ::2, ::2])
+    np.testing.assert_array_equal(thin.inside, small.inside[::2, ::2])
+    np.testing.assert_allclose(thin.grid.x(), small.grid.x()[::2])
+    np.testing.assert_allclose(thin.grid.y(), small.grid.y()[::2])
+    np.testing.assert_array_equal(thin.noise.gain, small.noise.gain)
 
 
 def test_blocks_hold_the_means_of_their_pixels_and_know_saturation(relief, tmp_path):
