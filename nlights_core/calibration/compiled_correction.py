@@ -54,6 +54,7 @@ def correct_blocks(
     reach: Array,
     gloss: Array,
     alphas: Array,
+    grazing: float,
     departure: float,
     shadow: float,
     misfit: float,
@@ -74,6 +75,8 @@ def correct_blocks(
         How far from the middle of the field, across and up, a ray may meet the plane, mm.
     gloss, alphas : (K,) float64 arrays
         Strength and roughness of each lobe.
+    grazing : float
+        See `nlights_core.calibration.reflectance.grazing`.
     departure : float
         This and all strengths 0: nothing is subtracted.
     shadow : float
@@ -88,7 +91,8 @@ def correct_blocks(
     across = (len(x_of) + BLOCK - 1) // BLOCK
     lobes = np.flatnonzero(gloss)
     beyond = Gloss(
-        gloss[lobes].astype(np.float32), alphas[lobes].astype(np.float32), FACETS[lobes], np.float32(departure),
+        gloss[lobes].astype(np.float32), alphas[lobes].astype(np.float32), FACETS[lobes], np.float32(grazing),
+        np.float32(departure),
     )  # fmt: skip
     criteria = Criteria(np.float32(shadow), np.float32(misfit), np.float32(1 / limit**2), rounds)
     search = Search(

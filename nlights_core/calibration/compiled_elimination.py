@@ -45,6 +45,7 @@ def linearise_samples(
     scaled: Array,
     gloss: Array,
     alphas: Array,
+    grazing: float,
     departure: float,
     flat_gloss: Array,
     sought: Array,
@@ -61,7 +62,7 @@ def linearise_samples(
 
     Parameters
     ----------
-    images, lights, weights, views, gloss, alphas, departure, misfit, first, last
+    images, lights, weights, views, gloss, alphas, grazing, departure, misfit, first, last
         As for `solve_normals`.
     raised_lights, raised_views : arrays of their shapes
         At a height larger by ``step``, mm.
@@ -110,8 +111,8 @@ def linearise_samples(
             weight = np.float64(weights[k, p])
             if not weight > 0:
                 continue
-            prepare(*_vector(lights[k], p), vx, vy, vz, ray)
-            prepare(*_vector(raised_lights[k], p), wx, wy, wz, raised)
+            prepare(*_vector(lights[k], p), vx, vy, vz, grazing, ray)
+            prepare(*_vector(raised_lights[k], p), wx, wy, wz, grazing, raised)
             value = shade(
                 b, ray, vx, vy, vz, lobes, gloss, alphas, departure, face, hidden, own, slopes[p, k]
             )
@@ -164,7 +165,7 @@ def _derive_by_flat(
     """Fill in a sample's derivatives by the lobes of the flat, ``value`` being what is predicted."""
     glossy = 1.0
     for j in range(len(FLAT_ALPHAS)):
-        mirrored = lobe(FLAT_ALPHAS[j], GGX, ray[9], ray[6], ray[10], hidden[j, 0], own)
+        mirrored = lobe(FLAT_ALPHAS[j], GGX, ray[9], ray[6], ray[12], hidden[j, 0], own)
         mirrored /= WHITE * ray[6]
         out[at + j] = -value * mirrored
         glossy += flat_gloss[j] * mirrored

@@ -50,7 +50,7 @@ DARK, FOUND, MOVES, PLAIN, COLOURED, UPWARD, REMOVED, STATE = range(3 * BLOCK, 1
 
 _ALL_PHOTONS = np.float32(PHOTONS)
 _SQUARE_CLOSE = np.float32(CLOSE**2)
-_MIRROR, _F0, _F90 = np.float32(LOBE_SCALE / 4), np.float32(F0), np.float32(1 - F0)
+_MIRROR, _F0 = np.float32(LOBE_SCALE / 4), np.float32(F0)
 _FLOOR, _UPRIGHT = np.float32(0.02), np.float32(0.1)
 _SINGULAR = np.float32(1e-6)
 """Determinant of a normal matrix of trace 1 up to which single precision does not know it from 0."""
@@ -65,6 +65,8 @@ class Gloss(NamedTuple):
         Of the lobes that there are.
     kinds : (K,) int64 array
         Of their facets.
+    grazing : float32
+        See `nlights_core.calibration.reflectance.grazing`.
     departure : float32
         From Lambert's law.
     """
@@ -72,6 +74,7 @@ class Gloss(NamedTuple):
     strengths: Array
     roughnesses: Array
     kinds: Array
+    grazing: np.float32
     departure: np.float32
 
 
@@ -127,7 +130,7 @@ def find_normals(samples: Array, gloss: Gloss, criteria: Criteria, search: Searc
     The points of the surface and the views must have been filled in.
     """
     state, of, rays, fit = search.state, search.of, search.rays, search.fit
-    _weigh(samples, criteria.shadow, gloss.departure, state, of, fit, rays)
+    _weigh(samples, criteria.shadow, gloss.grazing, gloss.departure, state, of, fit, rays)
     if not _begin(state, of, fit):
         return False
     for number in range(criteria.rounds + 1):
@@ -143,6 +146,7 @@ def find_normals(samples: Array, gloss: Gloss, criteria: Criteria, search: Searc
 def _weigh(
     samples: Array,
     shadow: np.float32,
+    grazing: np.float32,
     departure: np.float32,
     state: Array,
     of: Array,
@@ -178,7 +182,7 @@ def _weigh(
             ray[HALF + p], ray[HALF + BLOCK + p], ray[HALF + 2 * BLOCK + p] = x, y, z
             rest = ONE - (x * vx + y * vy + z * vz)
             square = rest * rest
-            ray[MIRROR + p] = _MIRROR * length * (_F0 + _F90 * square * square * rest)
+            ray[MIRROR + p] = _MIRROR * length * (_F0 + grazing * square * square * rest)
             ray[ROUGH + p] = departure * length
         for p in range(BLOCK):
             lit = sample[VALUE + p] > state[DARK + p]

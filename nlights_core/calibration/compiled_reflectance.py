@@ -30,9 +30,10 @@ FAINT = -30.0
 SCRATCH = 24
 """Numbers that `improve` needs room for."""
 
-RAY = 12
+RAY = 13
 """Numbers of a sample's ray, which do not depend on the normal: 0-2 the light, 3 its length, 4-6 its unit vector,
-7-9 the half vector, 10 Fresnel's term, 11 the cosine between light and view."""
+7-9 the half vector, 10 Fresnel's term, 11 the cosine between light and view, 12 Fresnel's term of a reflectance of
+`F0`."""
 
 FACE = 5
 """Numbers of a pixel's face: 0-2 the unit normal, 3 the length of the scaled one, 4 the cosine between normal
@@ -40,7 +41,7 @@ and view."""
 
 
 @inner
-def prepare(x: float, y: float, z: float, vx: float, vy: float, vz: float, ray: Any) -> None:
+def prepare(x: float, y: float, z: float, vx: float, vy: float, vz: float, grazing: float, ray: Any) -> None:
     """Fill in what of a sample does not depend on the normal."""
     length = math.sqrt(x * x + y * y + z * z)
     ux, uy, uz = x / length, y / length, z / length
@@ -51,7 +52,9 @@ def prepare(x: float, y: float, z: float, vx: float, vy: float, vz: float, ray: 
     ray[0], ray[1], ray[2], ray[3] = x, y, z, length
     ray[4], ray[5], ray[6] = ux, uy, uz
     ray[7], ray[8], ray[9] = hx, hy, hz
-    ray[10] = F0 + (1 - F0) * rest * rest * rest * rest * rest
+    rest = rest * rest * rest * rest * rest
+    ray[10] = F0 + grazing * rest
+    ray[12] = F0 + (1 - F0) * rest
     ray[11] = ux * vx + uy * vy + uz * vz
 
 
@@ -316,6 +319,7 @@ def solve_normals(
     views: Array,
     gloss: Array,
     alphas: Array,
+    grazing: float,
     departure: float,
     misfit: float,
     limit: float,
@@ -337,6 +341,8 @@ def solve_normals(
         Unit vectors to the camera.
     gloss, alphas : (K,) float64 arrays
         Strength and roughness of each lobe.
+    grazing : float
+        See `nlights_core.calibration.reflectance.grazing`.
     departure : float
     misfit : float
         Share of a reading that the model may miss.
@@ -367,7 +373,7 @@ def solve_normals(
             image[k], weight[k] = np.float64(images[k, p]), np.float64(weights[k, p])
             prepare(
                 np.float64(lights[k, p, 0]), np.float64(lights[k, p, 1]), np.float64(lights[k, p, 2]),
-                vx, vy, vz, ray[k],
+                vx, vy, vz, grazing, ray[k],
             )  # fmt: skip
         surprise[p] = improve(
             b, image, weight, ray, vx, vy, vz, lobes, gloss, alphas, departure, misfit, limit, rounds, face, hidden,

@@ -72,6 +72,7 @@ def take_out_gloss(band: Band, grid: PixelGrid, height: Array | None, reflectanc
         nothing(count),
         gloss=reflectance.gloss,
         roughnesses=reflectance.roughnesses,
+        grazing=reflectance.grazing,
         departure=reflectance.departure,
     )
     improve_normals(Samples(grey, weights, rays, views), shared, scaled, 2 * TUNING, ROUNDS)
@@ -120,7 +121,7 @@ def correct_strip(
     removed = np.empty((len(blocks.samples), 3 * BLOCK), np.float32)
     correct_blocks(
         strip.x, strip.y, strip.height, optics, blocks, reach, reflectance.gloss, reflectance.roughnesses,
-        reflectance.departure, SHADOW, MISFIT, 2 * TUNING, ROUNDS, removed,
+        reflectance.grazing, reflectance.departure, SHADOW, MISFIT, 2 * TUNING, ROUNDS, removed,
     )  # fmt: skip
     rows, columns = len(strip.y), len(strip.x)
     colours = removed.reshape(rows, -1, 3, BLOCK).swapaxes(2, 3).reshape(rows, -1, 3)

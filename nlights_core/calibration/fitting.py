@@ -41,7 +41,7 @@ PIXELS = 12_000
 """About how many pixels have a say."""
 
 MORE_PIXELS = 60_000
-"""The same in the last fit where lamps have changed: by how much is told by noise alone."""
+"""The same in the last fit: what lamps have changed is told by noise alone."""
 
 THINNED = 4 * PIXELS
 """Pixels from which on only every other row and column is looked at before the last fit."""
@@ -235,8 +235,7 @@ def _fit_last(
     """Fit what is believed once more, with more pixels and with the lamps' positions; return the covariance."""
     flat, readings = _follow(state, room, raw, lights, flat_field)
     assert state.scaled is not None
-    changed = bool(state.shared.strengths.any())
-    pixels = _pixels(state, room, raw, readings, MORE_PIXELS if changed else PIXELS)
+    pixels = _pixels(state, room, raw, readings, MORE_PIXELS)
     at = (pixels.rows, pixels.columns)
     z, scaled = state.height[at], state.scaled[at]
     places = np.array(sorted({0, *free}), np.intp)

@@ -85,7 +85,8 @@ def improve_normals(samples: Samples, shared: Shared, scaled: Array, limit: floa
     def some(first: int) -> None:
         last = min(first + 8192, len(scaled))
         solve_normals(
-            images, lights, weights, views, shared.gloss, shared.roughnesses, shared.departure, MISFIT, limit,
+            images, lights, weights, views, shared.gloss, shared.roughnesses, shared.grazing,
+            shared.departure, MISFIT, limit,
             rounds, first, last, scaled, surprise,
         )  # fmt: skip
 
@@ -144,7 +145,8 @@ def linearise(
     if places is not None:
         sought = sought[np.isin(sought + 1 + count, places)]
     values = (
-        scaled, shared.gloss, shared.roughnesses, shared.departure, shared.flat_gloss, sought, MISFIT, STEP,
+        scaled, shared.gloss, shared.roughnesses, shared.grazing, shared.departure, shared.flat_gloss, sought,
+        MISFIT, STEP,
     )  # fmt: skip
 
     def some(first: int, last: int) -> None:

@@ -120,6 +120,7 @@ def write_calibration(
         "lamps": len(found.shared.strengths),
         "values": found.shared.vector().tolist(),
         "roughnesses": found.shared.roughnesses.tolist(),
+        "grazing": found.shared.grazing,
         "level_uncertainty_mm": wide
         if "level" in found.believed and wide <= LARGEST and not misfit
         else None,
@@ -145,6 +146,7 @@ def write_nothing(folder: Path, lamps: int, grid: PixelGrid, noisier: float | No
         "lamps": lamps,
         "values": nothing(lamps).vector().tolist(),
         "roughnesses": nothing(lamps).roughnesses.tolist(),
+        "grazing": nothing(lamps).grazing,
         "level_uncertainty_mm": None,
         "misfit": False,
         "believed": [],
@@ -165,7 +167,7 @@ def read_calibration(folder: Path) -> Known:
     record = json.loads((folder / "calibration.json").read_text(encoding="utf-8"))
     shared = from_vector(np.array(record["values"]), record["lamps"])
     return Known(
-        replace(shared, roughnesses=np.array(record["roughnesses"])),
+        replace(shared, roughnesses=np.array(record["roughnesses"]), grazing=record["grazing"]),
         record["level_uncertainty_mm"],
         tuple(record["believed"]),
         record["residual"],

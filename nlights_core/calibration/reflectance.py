@@ -40,6 +40,32 @@ WHITE = 0.9
 """Albedo of the flat by which gloss is scaled; another one is another strength of the lobes."""
 
 
+LEAST_REFLECTANCE, MOST_REFLECTANCE = 0.02, 0.3
+"""At normal incidence, of what may be on paint: beyond these the sum of the lobes is no longer that of a varnish."""
+
+
+def grazing(strength: float) -> float:
+    """What Fresnel's term of a lobe of strength 1 grows by towards grazing light.
+
+    Schlick's term F + (1 - F) x of a surface of reflectance F at normal incidence is F / 0.04 times 0.04 + g x, with
+    g = 0.04 (1 / F - 1).  All lobes of a surface are of one material, so F is that of their sum: with the 0.96 of
+    0.04 for all, a reflectance of 0.1 kept 0.012 mm.
+
+    Parameters
+    ----------
+    strength : float
+        Of all lobes together; 1: reflectance 0.04.
+
+    Examples
+    --------
+    >>> round(grazing(1.0), 12), round(grazing(2.5), 12)
+    (0.96, 0.36)
+    """
+    least, most = LEAST_REFLECTANCE / NORMAL_REFLECTANCE, MOST_REFLECTANCE / NORMAL_REFLECTANCE
+    reflectance = NORMAL_REFLECTANCE * min(max(strength, least), most)
+    return NORMAL_REFLECTANCE * (1 / reflectance - 1)
+
+
 @dataclass(frozen=True)
 class Reflectance:
     """Behaviour of a tile's surface in light, beyond that of matt paint.
@@ -52,11 +78,14 @@ class Reflectance:
         Share c of the cross term.
     roughnesses : (K,) float64 array
         Alpha of each lobe.
+    grazing : float
+        See `grazing`.
     """
 
     gloss: Array
     departure: float
     roughnesses: Array = field(default_factory=lambda: np.array(ROUGHNESSES))
+    grazing: float = 1 - NORMAL_REFLECTANCE
 
     @property
     def lobes(self) -> list[tuple[str, float]]:
@@ -69,7 +98,13 @@ class Reflectance:
         return not self.gloss.any() and self.departure == 0
 
 
-def highlights(normals: Array, lights: Array, views: Array, lobes: Sequence[tuple[str, float]]) -> Array:
+def highlights(
+    normals: Array,
+    lights: Array,
+    views: Array,
+    lobes: Sequence[tuple[str, float]],
+    grazing: float = 1 - NORMAL_REFLECTANCE,
+) -> Array:
     """Radiance of the lobes under light of irradiance pi across the ray, for strength 1.
 
     Parameters
@@ -78,6 +113,8 @@ def highlights(normals: Array, lights: Array, views: Array, lobes: Sequence[tupl
         Unit vectors: of the surface, to the lamp, to the camera.
     lobes : sequence of (str, float)
         Kind, of `KINDS`, and alpha of each.
+    grazing : float
+        See `grazing`.
 
     Returns
     -------
@@ -95,7 +132,7 @@ def highlights(normals: Array, lights: Array, views: Array, lobes: Sequence[tupl
     half = lights + views
     half = half / np.linalg.norm(half, axis=-1, keepdims=True)
     along = _dot(half, views)
-    fresnel = NORMAL_REFLECTANCE + (1 - NORMAL_REFLECTANCE) * (1 - along) ** 5
+    fresnel = NORMAL_REFLECTANCE + grazing * (1 - along) ** 5
     upright, lit, seen = _dot(normals, half), _dot(normals, lights), _dot(normals, views)
     faces = (lit > 0) & (seen > 0) & (upright > 0)
     lit, seen = np.where(faces, lit, 1.0), np.where(faces, seen, 1.0)
@@ -169,7 +206,7 @@ def excess(reflectance: Reflectance, normals: Array, lights: Array, views: Array
     unit = lights / length[..., None]
     some = [(lobe, share) for lobe, share in zip(reflectance.lobes, reflectance.gloss, strict=True) if share]
     lobes, shares = [lobe for lobe, _ in some], np.array([share for _, share in some])
-    shine = np.tensordot(shares, highlights(normals, unit, views, lobes), 1)
+    shine = np.tensordot(shares, highlights(normals, unit, views, lobes, reflectance.grazing), 1)
     return length / WHITE * shine, length * reflectance.departure * cross_term(normals, unit, views)
 
 

@@ -8,7 +8,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nlights_core.calibration.reflectance import FLAT_LOBES, KINDS, ROUGHNESSES, Reflectance
+from nlights_core.calibration.reflectance import (
+    FLAT_LOBES,
+    KINDS,
+    NORMAL_REFLECTANCE,
+    ROUGHNESSES,
+    Reflectance,
+    grazing,
+)
 from nlights_core.frames import Array
 
 LEVEL_PRIOR = 5.0
@@ -72,6 +79,8 @@ class Shared:
         The same of the flat, of the lobes `nlights_core.calibration.reflectance.FLAT_LOBES`.
     roughnesses : (K,) float64 array
         Alpha of each lobe of the surface; not an unknown, but moved when the gloss is roughly known.
+    grazing : float
+        See `nlights_core.calibration.reflectance.grazing`; the same holds for it.
     """
 
     level: float
@@ -82,11 +91,12 @@ class Shared:
     room: float
     flat_gloss: Array
     roughnesses: Array = field(default_factory=lambda: np.array(ROUGHNESSES))
+    grazing: float = 1 - NORMAL_REFLECTANCE
 
     @property
     def reflectance(self) -> Reflectance:
         """The part that is the surface's."""
-        return Reflectance(self.gloss, self.departure, self.roughnesses)
+        return Reflectance(self.gloss, self.departure, self.roughnesses, self.grazing)
 
     def vector(self) -> Array:
         """All in one, in the order of the columns, (M,) float64."""
@@ -110,6 +120,7 @@ class Shared:
             level=float(level),
             strengths=self.strengths + change,
             roughnesses=self.roughnesses,
+            grazing=self.grazing,
         )
 
 
@@ -118,7 +129,7 @@ SMALLEST, LARGEST = 0.03, 0.8
 
 
 def narrowed(shared: Shared, found: Mapping[str, Array], width: float) -> Shared:
-    """Move the lobes of each kind close to where that kind, by itself, has the gloss.
+    """Move the lobes of each kind close to where that kind, by itself, has the gloss; adapt Fresnel's term to it.
 
     Parameters
     ----------
@@ -149,7 +160,7 @@ def narrowed(shared: Shared, found: Mapping[str, Array], width: float) -> Shared
             low = min(int(at), len(mine) - 2)
             gloss[mine[low]] += (low + 1 - at) * shared.gloss[old]
             gloss[mine[low + 1]] += (at - low) * shared.gloss[old]
-    return replace(shared, gloss=gloss, roughnesses=roughnesses)
+    return replace(shared, gloss=gloss, roughnesses=roughnesses, grazing=grazing(float(gloss.sum())))
 
 
 def nothing(lamps: int) -> Shared:

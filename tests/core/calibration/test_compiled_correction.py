@@ -70,7 +70,7 @@ def correct(blocks, x_of, reflectance, heights=PLANE, reach=NO_LIMIT):
     removed = np.empty((len(blocks.samples), 3 * BLOCK), np.float32)
     correct_blocks(
         x_of, Y_OF, heights, optics, blocks, reach, reflectance.gloss, reflectance.roughnesses,
-        reflectance.departure, 0.02, 0.002, 4.77, 5, removed,
+        reflectance.grazing, reflectance.departure, 0.02, 0.002, 4.77, 5, removed,
     )  # fmt: skip
     return blocks.samples[..., COLOURS], blocks.colours.reshape(-1, LAMPS, 3, BLOCK), removed
 
@@ -85,12 +85,13 @@ def rows_of(values, columns):
     [
         Reflectance(gloss_of(ggx=0.6), 0.0),
         Reflectance(gloss_of(beckmann=0.6), 0.0),
+        Reflectance(gloss_of(ggx=0.6), 0.0, grazing=6.0),
         Reflectance(gloss_of(blinn=0.6), 0.0),
         Reflectance(gloss_of(), 0.4),
         Reflectance(gloss_of(ggx=0.2, beckmann=0.3, blinn=0.3), 0.3),
         Reflectance(gloss_of(ggx=0.2, beckmann=0.3, blinn=0.3), 0.0, np.array(ROUGHNESSES) * 1.37),
     ],
-    ids=["ggx", "beckmann", "blinn", "rough", "all", "moved"],
+    ids=["ggx", "beckmann", "strong ggx", "blinn", "rough", "all", "moved"],
 )
 def test_what_is_left_is_matt(reflectance):
     lights, matt, read, shine = painted(reflectance)

@@ -21,7 +21,7 @@ from nlights_core.calibration.reflectance import (
 LAMPS, PIXELS = 8, 60
 UNKNOWNS = 4 + LAMPS + len(KINDS) + len(FLAT_LOBES)
 MISFIT, STEP, NO_LIMIT = 0.002, 0.05, np.inf
-STEEP, DEPARTURE = 0.15, 0.3
+STEEP, DEPARTURE, GRAZING = 0.15, 0.3, 0.5
 ALPHAS = np.array(ROUGHNESSES)
 
 
@@ -43,7 +43,7 @@ def scene():
 def read(lights, views, scaled, gloss, departure=DEPARTURE):
     """What samples read, by `nlights_core.calibration.reflectance`, (L, N)."""
     albedo = np.linalg.norm(scaled, axis=-1)
-    reflectance = Reflectance(np.asarray(gloss), departure)
+    reflectance = Reflectance(np.asarray(gloss), departure, grazing=GRAZING)
     shine, rough = excess(
         reflectance, scaled / albedo[:, None], lights.astype(np.float64), views.astype(np.float64)
     )
@@ -62,7 +62,7 @@ def linearised(scene, flat_gloss=None, sought=None, **changed):
     flat_gloss = np.zeros(len(FLAT_LOBES)) if flat_gloss is None else flat_gloss
     sought = np.arange(len(KINDS)) if sought is None else sought
     linearise_samples(
-        *given.values(), scaled, gloss, ALPHAS, DEPARTURE, flat_gloss, sought, MISFIT, STEP, 0, PIXELS,
+        *given.values(), scaled, gloss, ALPHAS, GRAZING, DEPARTURE, flat_gloss, sought, MISFIT, STEP, 0, PIXELS,
         columns, slopes, residuals, precisions,
     )  # fmt: skip
     return columns, slopes, residuals, precisions
@@ -175,8 +175,8 @@ def solved(images, lights, views, gloss, departure, start, limit=NO_LIMIT):
     scaled, surprise = start.copy(), np.empty(PIXELS)
     weights = np.full((LAMPS, PIXELS), 1e6, np.float32)
     solve_normals(
-        images.astype(np.float32), lights, weights, views, gloss, ALPHAS, departure, MISFIT, limit, 12, 0, PIXELS,
-        scaled, surprise,
+        images.astype(np.float32), lights, weights, views, gloss, ALPHAS, GRAZING, departure, MISFIT, limit, 12, 0,
+        PIXELS, scaled, surprise,
     )  # fmt: skip
     return scaled, surprise
 

@@ -10,6 +10,7 @@ from nlights_core.calibration.reflectance import (
     ROUGHNESSES,
     Reflectance,
     cross_term,
+    grazing,
     highlights,
 )
 
@@ -60,6 +61,22 @@ def test_nothing_shines_that_faces_away():
     assert not highlights(up, behind, up, LOBES).any()
     assert not highlights(up, up, behind, LOBES).any()
     assert not cross_term(up, behind, up).any()
+
+
+@pytest.mark.parametrize("reflectance", [0.02, 0.04, 0.1, 0.25])
+def test_lobes_of_any_strength_have_fresnels_term_of_their_reflectance(reflectance):
+    """A mirror-like facet, lamp and camera at 60 degrees to it: the half vector is the normal."""
+    lamp, camera = (np.array([side * np.sin(np.pi / 3), 0.0, 0.5]) for side in (1, -1))
+    strength = reflectance / NORMAL_REFLECTANCE
+    lobe = [("ggx", 0.3)]
+    upright, slanting = (
+        strength * highlights(UP, *ways, lobe, grazing(strength))[0] for ways in ((UP, UP), (lamp, camera))
+    )
+    square, facets = 0.3**2, 1 / 0.3**2
+    masking = (2 * 0.5 / (0.5 + np.sqrt(square + (1 - square) * 0.25))) ** 2
+    assert upright == pytest.approx(reflectance * facets / 4)
+    fresnel = reflectance + (1 - reflectance) * 0.5**5
+    assert slanting == pytest.approx(fresnel * facets * masking / (4 * 0.5))
 
 
 def test_the_cross_term_is_that_of_oren_and_nayar():
