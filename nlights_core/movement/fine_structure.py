@@ -49,8 +49,8 @@ class FineStructure:
         Relative to the local light, without what three numbers a place explain: ``x . products . x``
         is what the photographs leave unexplained after a combination x of them, of their gradients
         to the right and of those downwards.
-    powers : (T, L, L) float64 array
-        Products of the photographs' fine structure with each other, as it is.
+    grams : (T, 3L, 3L) float64 array
+        The same sums as they are: products of the fine structure and the gradients with each other.
     freedom : (T, L, L) float64 array
         What takes off the explained part; 0 for lamps that a tile leaves out.
     places : (T, 2) float array
@@ -62,11 +62,16 @@ class FineStructure:
     """
 
     products: Array
-    powers: Array
+    grams: Array
     freedom: Array
     places: Array
     sizes: Array
     clear: Array
+
+    @property
+    def lamps(self) -> int:
+        """Number L of photographs."""
+        return int(self.freedom.shape[1])
 
     @cached_property
     def quarters(self) -> Array:
@@ -92,12 +97,11 @@ class FineStructure:
 
     def _whole(self) -> Array:
         """Fine structure that unrelated photographs would leave, (T,)."""
-        return np.asarray(np.einsum("tii,tii->t", self.powers, self.freedom))
+        return np.asarray(np.einsum("tii,tii->t", self.grams[:, : self.lamps, : self.lamps], self.freedom))
 
     def left(self) -> Array:
         """Rest that is left unexplained in every tile, (T,)."""
-        count = self.powers.shape[1]
-        return np.asarray(self.products[:, :count, :count].sum(axis=(1, 2)))
+        return np.asarray(self.products[:, : self.lamps, : self.lamps].sum(axis=(1, 2)))
 
 
 def fine_structure(
@@ -153,8 +157,8 @@ def _of_detail(detail: Detail, around: Surroundings, moves: Array, robust: bool)
     rows, columns = height - 2 * border, width - 2 * border
     if min(rows, columns) < 4:
         empty = np.zeros((0, 3 * count, 3 * count))
-        powers = empty[:, :count, :count]
-        return FineStructure(empty, powers, powers, np.zeros((0, 2)), np.zeros(0), np.zeros(0, bool))
+        none = empty[:, :count, :count]
+        return FineStructure(empty, empty, none, np.zeros((0, 2)), np.zeros(0), np.zeros(0, bool))
     edge = max(EDGE // detail.scale, LEAST_EDGE)
     edge = edge if min(rows, columns) >= 3 * edge else max(4, min(rows, columns) // 3)
     down, across = rows // edge, columns // edge
@@ -195,7 +199,7 @@ def _of_detail(detail: Detail, around: Surroundings, moves: Array, robust: bool)
     places = np.stack([y[some], x[some]], axis=1)
     sizes = np.full(len(tiles), float(high * wide)) if known is None else usable.sum(axis=1).astype(float)
     products = grams * np.tile(freedom, (1, 3, 3))
-    return FineStructure(products, grams[:, :count, :count], freedom, places, sizes[some], clear[some])
+    return FineStructure(products, grams, freedom, places, sizes[some], clear[some])
 
 
 def _trust(tiles: Array, freedom: Array) -> Array:

@@ -4,14 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
 
 import numpy as np
 
 from nlights_core.frames import Array
 from nlights_core.movement.details import Detail, Surroundings
 from nlights_core.movement.fine_structure import FineStructure, fine_structure, join
-from nlights_core.movement.weighed_structures import Known, clearest_structures, misfit_of, weighed_structure
+from nlights_core.movement.mixtures import Departure, departures
+from nlights_core.movement.weighed_structures import (
+    Known,
+    clearest_structures,
+    misfit_of,
+    structures,
+    weighed_structure,
+)
 from nlights_core.reduced_light.explanations import Misfit
 
 LEAST = 0.35
@@ -29,14 +35,28 @@ FOLLOWED = 0.2
 """Movement in samples of a coarse detail from which on it is followed to finer ones."""
 
 EXPLAINED = 0.85
-"""Share of what free movements of all photographs would explain that a smaller set of them must, or a single one
-that was followed before it was certain: photographs that moved reach 0.96 to 1 there, others up to 0.77."""
+"""Share of what free movements of all photographs would explain that a smaller set of them must."""
 
 MOSTLY = 0.4
 """The same of a single photograph that is told: less may be the movement of another."""
 
-LED = 3
-"""Sizes of details, from the finest, in which a movement is followed before it is certain: they know of 2 px."""
+MIXED = 3
+"""Sizes of details, from the finest, in which photographs are compared with mixtures of the others: of coarser ones
+there are too few samples to know the mixtures."""
+
+BEGUN = 3.2
+"""Standard errors from which on a photograph is followed by what departs from the mixture of the others.  Moved ones
+begin with that even where they drown in noise; of 85 sound captures 4 begin, and end elsewhere."""
+
+ALONE = 0.4
+"""How far all others may still seem to lie apart when one is brought back, as a share of its movement: it reaches
+0.3 where a photograph drowns in noise, and 0.6 and more where none moved, or several did."""
+
+FARTHEST = 5.0
+"""How far that is believed, px: what lies farther apart is not seen in fine details."""
+
+STRIDE = 2.5
+"""Longest step of that, px."""
 
 TILES = 12
 """Tiles that must show something: fewer do not say whether a photograph moved or a highlight did."""
@@ -58,16 +78,15 @@ SETTLED = 0.05
 FINAL = 0.02
 """Change of a movement below which its last measurement has settled, px."""
 
-SURE = 0.12
-"""Standard error up to which a size of details, or a quarter, says where a photograph lies, px.  Where one size
-alone does, nothing contradicts it: at 0.13 the whole is wrong by up to 0.45 under strong varnish on dark relief."""
+SURE = 0.08
+"""Standard error up to which a movement's amount is told, px.  Where fine structure drowns in noise, it is wrong by
+up to five times that: by 0.25 at 0.08, but by 0.4 at 0.11 and 0.6 at 0.12."""
 
-FAINT = 10
-"""The same as a multiple of the best one's: what knows a hundred times less has no say in the movement."""
+SURE_TWICE, CONFIRMED = 0.15, 0.15
+"""The same where the lamps' directions gave the same movement, to so many px: then it is wrong by up to 0.28."""
 
 AGREED = 0.3
-"""By how much these may disagree about a movement whose amount is told, px.  Where gloss cannot be taken out they
-reach 0.3 to 0.9, and the whole is then wrong by up to 0.8; else it is wrong by up to 0.25."""
+"""By how much a quarter that is sure may disagree about a movement whose amount is told, px."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +100,7 @@ class Moves:
     together : bool
         Whether those that moved moved alike.
     measured : tuple of int
-        Photographs whose movement all that is sure of it agrees about.
+        Photographs whose movement is sure, and in all quarters the same.
     """
 
     pixels: Array
@@ -136,16 +155,15 @@ def _moves(
     moves = Moves(still, False)
     for level in reversed(range(len(levels))):
         moves = _settled(levels, around, known, clear, robust, level, moves)
-    if robust and not moves.pixels.any():
-        moves = _led(levels, around, known, clear)
     if not moves.pixels.any():
-        return moves
+        alone = _alone(levels, around, known, clear)
+        return _refine(levels, around, known, alone, False, clear) if alone.pixels.any() else moves
     for details in levels[:3]:
         brought, left = (fine_structure(details, around, way) for way in (moves.pixels, still))
         if clear:
             brought, left = brought.part(brought.clear), left.part(left.clear)
         if brought.share() <= (ROBUSTLY if robust else BETTER) * left.share():
-            return _refine(levels, around, moves, clear, robust)
+            return _refine(levels, around, known, moves, True, clear)
     return Moves(still, False)
 
 
@@ -172,61 +190,81 @@ def _settled(
     return moves
 
 
-def _led(levels: Sequence[Sequence[Detail]], around: Surroundings, known: Known, clear: bool) -> Moves:
-    """The movement of one photograph that is certain only once it is followed to its end, as beside gloss.
+def _alone(levels: Sequence[Sequence[Detail]], around: Surroundings, known: Known, clear: bool) -> Moves:
+    """The movement of one photograph that is no mixture of the others, whatever gloss and dark paint do to them."""
+    still = np.zeros((len(around.relative.lamps), 2))
+    nothing = Moves(still, False)
+    first = departures(structures(levels[1:MIXED] or levels, around, still, known, clear))
+    scores = [one.size / one.error if one.size > LEAST else 0 for one in first]
+    lamp = int(np.argmax(scores))
+    if scores[lamp] < BEGUN:
+        return nothing
+    moves = Moves(still.copy(), False)
+    for some in (levels[1:MIXED] or levels, levels[:MIXED]):
+        moves, last = _brought(some, around, known, clear, moves, [lamp])
+    size = float(np.hypot(*moves.pixels[lamp]))
+    quarters = [one.size for one in last[lamp].quarters()]
+    others = max(one.size for k, one in enumerate(last) if k != lamp)
+    sure = LEAST < size < FARTHEST and size > CERTAIN * last[lamp].error and others < ALONE * size
+    same = len(quarters) > 2 and np.median(quarters) < QUARTERS * size
+    return moves if sure and same else nothing
 
-    Steps are short there at first, and the quarters far apart.  So the photograph that explains most is followed
-    whatever it is; all that a movement must pass, it must pass where it ends.
-    """
-    pixels = np.zeros((len(around.relative.lamps), 2))
-    for level in reversed(range(min(LED, len(levels)))):
-        scale = levels[level][0].scale
-        for _ in range(ROUNDS):
-            structure = weighed_structure(levels[level:], around, pixels, known, clear, True)
-            if np.count_nonzero(structure.left() > 0) < (FEW_TILES if level else TILES):
-                return Moves(np.zeros_like(pixels), False)
-            before = pixels
-            pixels = misfit_of(structure, before).ranked(1, False, ())[0][2]
-            if np.abs(pixels - before).max() < SETTLED * scale:
-                break
-        if np.hypot(*pixels.T).max() < LEAST:
-            return Moves(np.zeros_like(pixels), False)
-    moves = _settled(levels, around, known, clear, True, 0, Moves(pixels, False))
-    lamps = np.flatnonzero(moves.pixels.any(axis=1)).tolist()
-    misfit = misfit_of(weighed_structure(levels, around, moves.pixels, known, clear, True), moves.pixels)
-    most = misfit.level - misfit.least(range(misfit.lamps))[0]
-    enough = lamps and misfit.level - misfit.least(lamps)[0] > EXPLAINED * most
-    return moves if enough else Moves(np.zeros_like(pixels), False)
+
+def _brought(
+    levels: Sequence[Sequence[Detail]],
+    around: Surroundings,
+    known: Known,
+    clear: bool,
+    moves: Moves,
+    lamps: Sequence[int],
+) -> tuple[Moves, list[Departure]]:
+    """Movements of some photographs followed to where they are mixtures of the others, and what departs there."""
+    pixels = moves.pixels.copy()
+    for _ in range(ROUNDS):
+        found = departures(structures(levels, around, pixels, known, clear))
+        steps = np.array([found[lamp].step for lamp in lamps])
+        if moves.together:
+            weights = np.array([found[lamp].error for lamp in lamps]) ** -2.0
+            steps[:] = weights @ steps / weights.sum()
+        steps *= np.minimum(1, STRIDE / np.maximum(np.hypot(*steps.T), FINAL))[:, None]
+        pixels[lamps] += steps
+        if np.abs(steps).max() < FINAL:
+            break
+    return replace(moves, pixels=pixels), found
 
 
 def _refine(
-    levels: Sequence[Sequence[Detail]], around: Surroundings, moves: Moves, clear: bool, robust: bool
+    levels: Sequence[Sequence[Detail]],
+    around: Surroundings,
+    known: Known,
+    moves: Moves,
+    twice: bool,
+    clear: bool,
 ) -> Moves:
-    """The same movements, measured without gloss where that can be told, and by how much parts disagree on them."""
+    """The same movements, measured where the photographs are mixtures of each other, and which are sure.
+
+    ``twice``: they were found in another way too, and what that gave has a say.
+    """
     lamps = np.flatnonzero(moves.pixels.any(axis=1)).tolist()
-    pixels = moves.pixels
-    for _ in range(ROUNDS):
-        parts = clearest_structures(levels, around, pixels, clear, robust)
-        structure, before = join(parts), pixels
-        if not len(structure.sizes):
-            break
-        pixels = pixels + misfit_of(structure, np.zeros_like(pixels)).least(lamps, moves.together)[1]
-        if np.abs(pixels - before).max() < FINAL:
-            break
-    measured = tuple(lamp for lamp in lamps if _agree(parts, structure, lamp))
-    return Moves(np.where(np.hypot(*pixels.T)[:, None] > LEAST, pixels, 0.0), moves.together, measured)
+    before = moves.pixels
+    moves, found = _brought(levels[:MIXED], around, known, clear, moves, lamps)
+    apart = np.hypot(*(moves.pixels - before).T)
+    kept = np.where(np.hypot(*moves.pixels.T)[:, None] > LEAST, moves.pixels, 0.0)
+    limits = np.where(apart < CONFIRMED, SURE_TWICE, SURE) if twice else np.full(len(apart), SURE)
+    measured = tuple(lamp for lamp in lamps if _agree(found[lamp], float(limits[lamp])))
+    return replace(moves, pixels=kept, measured=measured)
 
 
 def _seen_beside_steps(levels: Sequence[Sequence[Detail]], around: Surroundings, moves: Moves) -> Moves:
     """Keep the movements that tiles clear of steps rather show than not; all, where these are too few."""
-    there = join(clearest_structures(levels, around, moves.pixels, False))
+    there = join(clearest_structures(levels, around, moves.pixels))
     if there.clear.all() or np.count_nonzero(there.clear) < TILES:
         return moves
     kept = moves.pixels.copy()
     for lamp in np.flatnonzero(moves.pixels.any(axis=1)):
         moved, still = moves.pixels[lamp], moves.pixels.copy()
         still[lamp] = 0
-        here = join(clearest_structures(levels, around, still, False))
+        here = join(clearest_structures(levels, around, still))
         # Noise lengthens gradients, so a step would come out short; which way each place pulls stays right.
         if sum(_pull(one.part(one.clear), int(lamp)) @ moved for one in (here, there)) <= 0:
             kept[lamp] = 0
@@ -235,31 +273,14 @@ def _seen_beside_steps(levels: Sequence[Sequence[Detail]], around: Surroundings,
 
 def _pull(structure: FineStructure, lamp: int) -> Array:
     """Direction in which some tiles pull a lamp's photograph, (2,): the slope of what is left unexplained."""
-    count = structure.powers.shape[1]
+    count = structure.lamps
     return np.asarray(-structure.products[:, [count + lamp, 2 * count + lamp], :count].sum(axis=(0, 2)))
 
 
-def _agree(sizes: Sequence[FineStructure], whole: FineStructure, lamp: int) -> bool:
-    """Test whether details of all sizes, and the quarters, would leave a lamp's photograph where the whole put it."""
-    quarters = [whole.part(whole.quarters == quarter) for quarter in range(4)]
-    levels = [_wanted(one, lamp) for one in sizes if len(one.sizes)]
-    limit = min(SURE, FAINT * min((error for _, error in levels), default=0.0))
-    sure = [place for place, error in levels if error < limit]
-    apart = [a - b for a, b in combinations([*sure, np.zeros(2)], 2)]
-    apart += [
-        place for place, error in (_wanted(one, lamp) for one in quarters if len(one.sizes)) if error < limit
-    ]
-    return bool(sure) and all(np.hypot(*one) < AGREED for one in apart)
-
-
-def _wanted(structure: FineStructure, lamp: int) -> tuple[Array, float]:
-    """Movement that some tiles would want beside, px, and its standard error."""
-    count = structure.powers.shape[1]
-    pair = [count + lamp, 2 * count + lamp]
-    own = structure.products.sum(axis=0)[np.ix_(pair, pair)]
-    steps = structure.products[:, pair, :count].sum(axis=2) @ np.linalg.pinv(own)
-    unknown = np.linalg.matrix_rank(own) < 2
-    return -steps.sum(axis=0), float("inf") if unknown else float(np.sqrt((steps**2).sum()))
+def _agree(departure: Departure, sure: float) -> bool:
+    """Test whether a movement is sure, and all quarters would leave the photograph where the whole put it."""
+    apart = [one.size < max(AGREED, 2 * one.error) for one in departure.quarters()]
+    return departure.error < sure and all(apart)
 
 
 def _follow(structure: FineStructure, moves: Array, least: float, last: bool) -> Moves:

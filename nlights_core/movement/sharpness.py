@@ -75,10 +75,10 @@ def _everywhere(fine: FineStructure, lamp: int, known: Array) -> bool:
 def _contrast(structure: FineStructure) -> tuple[Array, Array]:
     """Slope of each photograph's fine structure on its prediction, and the prediction's power over noise; (L,)."""
     left = structure.left()
-    count = structure.powers.shape[1]
+    count = structure.lamps
     if not len(left):
         return np.zeros(count), np.zeros(count)
-    powers, freedom = structure.powers, structure.freedom
+    powers, freedom = structure.grams[:, :count, :count], structure.freedom
     weights = 1 / (left + np.median(left))
     noise = left / np.trace(freedom, axis1=1, axis2=2)
     slope, seen = np.zeros(count), np.zeros(count)

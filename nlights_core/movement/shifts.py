@@ -217,7 +217,7 @@ def _followed(levels: Sequence[Sequence[Detail]], around: Surroundings) -> Array
 
 def _step(structure: FineStructure) -> Array:
     """Shifts that structures want beside, (L, 2); their mean is 0, since nobody can tell it."""
-    count = structure.powers.shape[1]
+    count = structure.lamps
     if not len(structure.sizes):
         return np.full((count, 2), np.inf)
     still = np.zeros((count, 2))

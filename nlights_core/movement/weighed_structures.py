@@ -40,15 +40,29 @@ def weighed_structure(
     """
     parts = []
     for details in levels:
-        key = (details[0].scale, moves.tobytes(), robust)
-        if key not in known:
-            found = fine_structure(details, around, moves, robust)
-            known[key] = found, {}
-        found, chosen = known[key]
+        found, chosen = _known(details, around, moves, known, robust)
         if clear not in chosen:
             chosen[clear] = _per_pixel(found.part(found.clear) if clear else found, details[0].scale)
         parts.append(chosen[clear])
     return join(parts)
+
+
+def structures(
+    levels: Sequence[Sequence[Detail]], around: Surroundings, moves: Array, known: Known, clear: bool
+) -> list[tuple[FineStructure, int]]:
+    """Fine structure of details of several sizes as it is, highlights having little say, and their samples' edge."""
+    found = [(_known(one, around, moves, known, True)[0], one[0].scale) for one in levels]
+    return [(one.part(one.clear), scale) for one, scale in found] if clear else found
+
+
+def _known(
+    details: Sequence[Detail], around: Surroundings, moves: Array, known: Known, robust: bool
+) -> tuple[FineStructure, dict[bool, FineStructure]]:
+    """Fine structure of details of one size, summed once."""
+    key = (details[0].scale, moves.tobytes(), robust)
+    if key not in known:
+        known[key] = fine_structure(details, around, moves, robust), {}
+    return known[key]
 
 
 def _per_pixel(one: FineStructure, scale: int) -> FineStructure:
@@ -58,7 +72,7 @@ def _per_pixel(one: FineStructure, scale: int) -> FineStructure:
         return one.part(np.zeros(0, np.intp))
     # Noise is in the finest details, and hardly in coarse ones: each counts by its own disagreement.
     weights = one.sizes / (left + np.median(left[left > 0]))
-    count = one.powers.shape[1]
+    count = one.lamps
     gradients = np.r_[np.ones(count), np.full(2 * count, 1 / scale)]
     products = one.products * np.outer(gradients, gradients) * weights[:, None, None]
     return replace(one, products=_without_noise(products, count))
@@ -92,19 +106,15 @@ def clearest_structures(
     levels: Sequence[Sequence[Detail]],
     around: Surroundings,
     moves: Array,
-    clear: bool = False,
-    robust: bool = False,
 ) -> list[FineStructure]:
     """Fine structures of all sizes, brought back, without gloss where it is much of what is unexplained."""
     still = np.zeros_like(moves)
-    glossy = [fine_structure(one, around, moves, robust) for one in levels]
+    glossy = [fine_structure(one, around, moves) for one in levels]
     cleaned = [without_gloss(brought_back(one, moves), around) for one in levels[0]]
     matt = []
     for _ in levels:
-        matt.append(fine_structure(cleaned, around, still, robust))
+        matt.append(fine_structure(cleaned, around, still))
         cleaned = [one.halved() for one in cleaned]
-    if clear:
-        glossy, matt = ([one.part(one.clear) for one in some] for some in (glossy, matt))
     shares = [(a.share(), b.share()) for a, b in zip(glossy, matt, strict=True) if a.share() < NOISY]
     chosen = matt if shares and shares[0][1] < MATT * shares[0][0] else glossy
     return [_per_pixel(one, details[0].scale) for one, details in zip(chosen, levels, strict=True)]
