@@ -152,18 +152,24 @@ def _moves(
 ) -> Moves:
     """Movements that all tiles show, or only those clear of steps; ``robust``: highlights have little say."""
     still = np.zeros((len(around.relative.lamps), 2))
+    alone = _alone(levels, around, known, clear)
+    if alone.pixels.any():
+        alone = _refine(levels, around, known, alone, None, clear)
+        if alone.measured:
+            return alone
     moves = Moves(still, False)
     for level in reversed(range(len(levels))):
         moves = _settled(levels, around, known, clear, robust, level, moves)
+    if alone.pixels.any():
+        return _refine(levels, around, known, alone, moves.pixels, clear)
     if not moves.pixels.any():
-        alone = _alone(levels, around, known, clear)
-        return _refine(levels, around, known, alone, False, clear) if alone.pixels.any() else moves
+        return moves
     for details in levels[:3]:
         brought, left = (fine_structure(details, around, way) for way in (moves.pixels, still))
         if clear:
             brought, left = brought.part(brought.clear), left.part(left.clear)
         if brought.share() <= (ROBUSTLY if robust else BETTER) * left.share():
-            return _refine(levels, around, known, moves, True, clear)
+            return _refine(levels, around, known, moves, moves.pixels, clear)
     return Moves(still, False)
 
 
@@ -195,7 +201,7 @@ def _alone(levels: Sequence[Sequence[Detail]], around: Surroundings, known: Know
     still = np.zeros((len(around.relative.lamps), 2))
     nothing = Moves(still, False)
     first = departures(structures(levels[1:MIXED] or levels, around, still, known, clear))
-    scores = [one.size / one.error if one.size > LEAST else 0 for one in first]
+    scores = [_score(one) for one in first]
     lamp = int(np.argmax(scores))
     if scores[lamp] < BEGUN:
         return nothing
@@ -204,10 +210,16 @@ def _alone(levels: Sequence[Sequence[Detail]], around: Surroundings, known: Know
         moves, last = _brought(some, around, known, clear, moves, [lamp])
     size = float(np.hypot(*moves.pixels[lamp]))
     quarters = [one.size for one in last[lamp].quarters()]
-    others = max(one.size for k, one in enumerate(last) if k != lamp)
-    sure = LEAST < size < FARTHEST and size > CERTAIN * last[lamp].error and others < ALONE * size
+    others = [one for k, one in enumerate(last) if k != lamp]
+    alone = max(one.size for one in others) < ALONE * size and max(map(_score, others)) < BEGUN
+    sure = LEAST < size < FARTHEST and size > CERTAIN * last[lamp].error and alone
     same = len(quarters) > 2 and np.median(quarters) < QUARTERS * size
     return moves if sure and same else nothing
+
+
+def _score(departure: Departure) -> float:
+    """Standard errors by which a photograph seems moved; 0 where that is not told anyway."""
+    return departure.size / departure.error if departure.size > LEAST else 0.0
 
 
 def _brought(
@@ -238,19 +250,19 @@ def _refine(
     around: Surroundings,
     known: Known,
     moves: Moves,
-    twice: bool,
+    modelled: Array | None,
     clear: bool,
 ) -> Moves:
     """The same movements, measured where the photographs are mixtures of each other, and which are sure.
 
-    ``twice``: they were found in another way too, and what that gave has a say.
+    ``modelled``: what the lamps' directions gave, which has a say.
     """
     lamps = np.flatnonzero(moves.pixels.any(axis=1)).tolist()
-    before = moves.pixels
     moves, found = _brought(levels[:MIXED], around, known, clear, moves, lamps)
-    apart = np.hypot(*(moves.pixels - before).T)
     kept = np.where(np.hypot(*moves.pixels.T)[:, None] > LEAST, moves.pixels, 0.0)
-    limits = np.where(apart < CONFIRMED, SURE_TWICE, SURE) if twice else np.full(len(apart), SURE)
+    limits = np.full(len(moves.pixels), SURE)
+    if modelled is not None:
+        limits[np.hypot(*(moves.pixels - modelled).T) < CONFIRMED] = SURE_TWICE
     measured = tuple(lamp for lamp in lamps if _agree(found[lamp], float(limits[lamp])))
     return replace(moves, pixels=kept, measured=measured)
 
