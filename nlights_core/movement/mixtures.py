@@ -108,11 +108,7 @@ def _of_one_size(structure: FineStructure, scale: int) -> list[Departure]:
     grams, included, places, sizes = _in_cells(structure, max(EDGE, SAMPLES * scale))
     gradients = np.r_[np.ones(count), np.full(2 * count, 1 / scale)]
     grams = grams * np.outer(gradients, gradients)
-    light = grams[:, :count, :count]
-    power = np.trace(light, axis1=1, axis2=2) / np.maximum(included.sum(axis=1), 1)
-    # Lamps that a cell leaves out have no power there, and no part in a mixture.
-    apart = np.eye(count) * np.where(included, RIDGE * power[:, None] + TINY, 1.0)[:, None]
-    inverse = np.linalg.inv(light + apart)
+    inverse = np.linalg.inv(_regular(grams, included))
     found = []
     for lamp in range(count):
         some = included[:, lamp] & (included.sum(axis=1) >= FEWEST)
@@ -140,6 +136,16 @@ def _in_cells(structure: FineStructure, edge: int) -> tuple[Array, Array, Array,
     return grams, included, places, np.bincount(cell, structure.sizes)
 
 
+def _regular(grams: Array, included: Array) -> Array:
+    """Products of the photographs in every cell, (n, L, L), that can be inverted."""
+    count = included.shape[1]
+    light = grams[:, :count, :count]
+    power = np.trace(light, axis1=1, axis2=2) / np.maximum(included.sum(axis=1), 1)
+    # Lamps that a cell leaves out have no power there, and no part in a mixture.
+    apart = np.where(included, RIDGE * power[:, None] + TINY, 1.0)
+    return np.asarray(light + np.eye(count) * apart[:, None])
+
+
 def _of_lamp(grams: Array, inverse: Array, lamp: int) -> tuple[Array, Array]:
     """Sums of one photograph's departure in every cell, (n, 2, 3), and what is left of the photograph, (n,)."""
     count = inverse.shape[1]
@@ -157,3 +163,17 @@ def _of_lamp(grams: Array, inverse: Array, lamp: int) -> tuple[Array, Array]:
     departing = np.einsum("ndk,nk->nd", slopes[:, :, :count], rest)
     left = np.einsum("nk,nk->n", grams[:, lamp, :count], rest)
     return np.concatenate([departing[:, :, None], gradients], axis=2), left
+
+
+def disorder(structures: Sequence[tuple[FineStructure, int]]) -> float:
+    """Logarithm of how much the photographs differ from mixtures of each other, the less the better they lie.
+
+    It is that of the volume which their fine structure spans, summed over cells of several sizes of details.
+    """
+    total = 0.0
+    for structure, scale in structures:
+        if len(structure.sizes):
+            grams, included, _, sizes = _in_cells(structure, max(EDGE, SAMPLES * scale))
+            volumes = np.linalg.slogdet(_regular(grams, included))[1]
+            total += float(volumes @ sizes)
+    return total

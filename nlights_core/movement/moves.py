@@ -10,7 +10,7 @@ import numpy as np
 from nlights_core.frames import Array
 from nlights_core.movement.details import Detail, Surroundings
 from nlights_core.movement.fine_structure import FineStructure, fine_structure, join
-from nlights_core.movement.mixtures import Departure, departures
+from nlights_core.movement.mixtures import Departure, departures, disorder
 from nlights_core.movement.weighed_structures import (
     Known,
     clearest_structures,
@@ -202,19 +202,28 @@ def _alone(levels: Sequence[Sequence[Detail]], around: Surroundings, known: Know
     nothing = Moves(still, False)
     first = departures(structures(levels[1:MIXED] or levels, around, still, known, clear))
     scores = [_score(one) for one in first]
-    lamp = int(np.argmax(scores))
-    if scores[lamp] < BEGUN:
+    # Where there is gloss, the photograph of the opposite lamp may seem to have moved the other way.
+    likely = [int(lamp) for lamp in np.argsort(scores)[-2:] if scores[lamp] >= BEGUN]
+    tried = []
+    for lamp in likely:
+        moves = Moves(still, False)
+        for some in (levels[1:MIXED] or levels, levels[:MIXED]):
+            moves, last = _brought(some, around, known, clear, moves, [lamp])
+        left = disorder(structures(levels[:MIXED], around, moves.pixels, known, clear))
+        tried.append((left, lamp, moves, last))
+    if not tried:
         return nothing
-    moves = Moves(still.copy(), False)
-    for some in (levels[1:MIXED] or levels, levels[:MIXED]):
-        moves, last = _brought(some, around, known, clear, moves, [lamp])
-    size = float(np.hypot(*moves.pixels[lamp]))
+    _, lamp, moves, last = min(tried, key=lambda one: one[0])
+    return moves if _is_alone(last, lamp, float(np.hypot(*moves.pixels[lamp]))) else nothing
+
+
+def _is_alone(last: Sequence[Departure], lamp: int, size: float) -> bool:
+    """Test whether a movement is certain, everywhere the same, and no other photograph moved beside."""
     quarters = [one.size for one in last[lamp].quarters()]
     others = [one for k, one in enumerate(last) if k != lamp]
     alone = max(one.size for one in others) < ALONE * size and max(map(_score, others)) < BEGUN
-    sure = LEAST < size < FARTHEST and size > CERTAIN * last[lamp].error and alone
-    same = len(quarters) > 2 and np.median(quarters) < QUARTERS * size
-    return moves if sure and same else nothing
+    same = len(quarters) > 2 and bool(np.median(quarters) < QUARTERS * size)
+    return LEAST < size < FARTHEST and size > CERTAIN * last[lamp].error and alone and same
 
 
 def _score(departure: Departure) -> float:
