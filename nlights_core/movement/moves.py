@@ -300,7 +300,7 @@ def _pull(structure: FineStructure, lamp: int) -> Array:
 
 def _agree(departure: Departure, sure: float) -> bool:
     """Test whether a movement is sure, and all quarters would leave the photograph where the whole put it."""
-    apart = [one.size < max(AGREED, 2 * one.error) for one in departure.quarters()]
+    apart = [one.size < max(AGREED, 3 * one.error) for one in departure.quarters()]
     return departure.error < sure and all(apart)
 
 

@@ -9,7 +9,9 @@ import yaml
 from scipy.ndimage import shift, zoom
 
 from nlights_core.capture import Encoding, Tile
+from nlights_core.configurations import load_stand
 from nlights_core.fields import LightField
+from nlights_core.simulation.captures import simulate
 
 REAL = Path(__file__).parents[4] / "shared" / "data"
 
@@ -84,6 +86,27 @@ def test_a_movement_is_told_of_dark_relief_under_varnish(photographs, simulated,
     for n in range(1, 9):
         paint = tifffile.imread(matt / f"light_{n}.tif") - 256.0
         capture.change_frames(lambda light, paint=paint: light - 0.85 * paint, n)
+    assert capture.said() == []
+    capture.change_frames(moved(across, up), number)
+    (warning,) = capture.said()
+    assert_told(warning, across, up, (capture.tile.lamps[number - 1],))
+
+
+@pytest.mark.parametrize(("number", "across", "up"), [(2, 2, 0), (6, -1, 1.75), (8, 2, 0)])
+def test_a_photograph_is_no_mixture_of_the_others_once_it_moved(tmp_path, copy_of, number, across, up):
+    """Strong varnish on dark relief, the highlights a third of the light: its fine structure follows no lamp."""
+    stand = load_stand("vertical-dark")
+    simulate(tmp_path / "relief", stand, scene="relief", width=320, varnish=False, seed=61)
+    simulate(tmp_path / "glossy", stand, scene="relief", width=320, varnish=True, seed=61)
+    capture, random = copy_of(tmp_path / "glossy"), np.random.default_rng(61)
+    for n in range(1, 9):
+        matt = tifffile.imread(tmp_path / "relief" / f"light_{n}.tif") - 256.0
+
+        def darken(light, matt=matt):
+            light = light - 0.9 * matt
+            return light + np.sqrt(np.maximum(light, 1)) * 0.5 * random.standard_normal(light.shape)
+
+        capture.change_frames(darken, n)
     assert capture.said() == []
     capture.change_frames(moved(across, up), number)
     (warning,) = capture.said()
