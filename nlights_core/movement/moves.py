@@ -136,6 +136,9 @@ def find_moves(levels: Sequence[Sequence[Detail]], around: Surroundings) -> tupl
         moves = _moves(levels, around, known, False, not steps)
         if steps and moves.pixels.any():
             moves = _seen_beside_steps(levels, around, moves)
+    elif steps and not moves.measured:
+        # What is clear of steps may be too little to measure.
+        moves = _refine(levels, around, known, moves, moves.pixels, False)
     return moves, _finest(levels, around, moves.pixels, known)
 
 
