@@ -138,7 +138,7 @@ def find_moves(levels: Sequence[Sequence[Detail]], around: Surroundings) -> tupl
             moves = _seen_beside_steps(levels, around, moves)
     elif steps and not moves.measured:
         # What is clear of steps may be too little to measure.
-        moves = _refine(levels, around, known, moves, moves.pixels, False)
+        moves = _refine(levels, around, known, moves, None, False)
     return moves, _finest(levels, around, moves.pixels, known)
 
 
