@@ -52,6 +52,10 @@ ALONE = 0.4
 """How far all others may still seem to lie apart when one is brought back, as a share of its movement: it reaches
 0.3 where a photograph drowns in noise, and 0.6 and more where none moved, or several did."""
 
+CLEARLY = 2.0
+"""How many times as much as the other's must be what the movement of one of two photographs takes off the disorder,
+where either could be the only one that moved: it was 1.1 where the wrong one seemed better, and 6 and 17 where not."""
+
 FARTHEST = 5.0
 """How far that is believed, px: what lies farther apart is not seen in fine details."""
 
@@ -207,17 +211,19 @@ def _alone(levels: Sequence[Sequence[Detail]], around: Surroundings, known: Know
     scores = [_score(one) for one in first]
     # Where there is gloss, the photograph of the opposite lamp may seem to have moved the other way.
     likely = [int(lamp) for lamp in np.argsort(scores)[-2:] if scores[lamp] >= BEGUN]
+    before = disorder(structures(levels[:MIXED], around, still, known, clear))
     tried = []
     for lamp in likely:
         moves = Moves(still, False)
         for some in (levels[1:MIXED] or levels, levels[:MIXED]):
             moves, last = _brought(some, around, known, clear, moves, [lamp])
-        left = disorder(structures(levels[:MIXED], around, moves.pixels, known, clear))
-        tried.append((left, lamp, moves, last))
-    if not tried:
+        if _is_alone(last, lamp, float(np.hypot(*moves.pixels[lamp]))):
+            left = disorder(structures(levels[:MIXED], around, moves.pixels, known, clear))
+            tried.append((before - left, moves))
+    gains = sorted((gain for gain, _ in tried), reverse=True)
+    if not tried or (len(tried) > 1 and gains[0] < CLEARLY * gains[1]):
         return nothing
-    _, lamp, moves, last = min(tried, key=lambda one: one[0])
-    return moves if _is_alone(last, lamp, float(np.hypot(*moves.pixels[lamp]))) else nothing
+    return max(tried, key=lambda one: one[0])[1]
 
 
 def _is_alone(last: Sequence[Departure], lamp: int, size: float) -> bool:

@@ -59,6 +59,20 @@ def test_light_in_the_photographs_alone_is_told(photographs, scene, stand, varni
     assert warning.value == pytest.approx(3, abs=0.8)
 
 
+def test_light_in_all_photographs_is_told_once_exchanged_ones_are_mended(photographs):
+    """The lamps that an exchange leaves tell such light from gloss no more."""
+    capture = photographs("painting")
+    flats = [tifffile.imread(path) for path in (capture.folder / "flat").glob("*.tif")]
+    albedo = tifffile.imread(capture.folder / "truth" / "albedo.tif")
+    room = 0.03 * float(np.median(flats)) * albedo / 0.9
+    capture.change_frames(lambda light: light + room)
+    frames = dict(capture.tile.frames)
+    frames["Relio_2"], frames["Relio_5"] = frames["Relio_5"], frames["Relio_2"]
+    exchanged = capture.said(capture.tile.model_copy(update={"frames": frames}))
+    assert [(warning.code, warning.lamps) for warning in exchanged] == [("exchanged", ("Relio_2", "Relio_5"))]
+    assert [warning.code for warning in capture.said()] == ["additive-light"]
+
+
 @pytest.mark.parametrize(("scene", "number"), [("painting", 2), ("drawing", 7), ("painting", 5)])
 def test_a_blurred_photograph_is_told(photographs, scene, number):
     capture = photographs(scene)
