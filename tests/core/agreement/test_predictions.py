@@ -5,6 +5,8 @@ import pytest
 import tifffile
 from scipy.ndimage import gaussian_filter
 
+from nlights_core.agreement import examination
+from nlights_core.capture_warnings import CaptureWarning
 from nlights_core.fields import LightField
 
 
@@ -59,18 +61,21 @@ def test_light_in_the_photographs_alone_is_told(photographs, scene, stand, varni
     assert warning.value == pytest.approx(3, abs=0.8)
 
 
-def test_light_in_all_photographs_is_told_once_exchanged_ones_are_mended(photographs):
+def test_light_in_all_photographs_is_told_once_exchanged_ones_are_mended(photographs, monkeypatch):
     """The lamps that an exchange leaves tell such light from gloss no more."""
     capture = photographs("painting")
-    flats = [tifffile.imread(path) for path in (capture.folder / "flat").glob("*.tif")]
-    albedo = tifffile.imread(capture.folder / "truth" / "albedo.tif")
-    room = 0.03 * float(np.median(flats)) * albedo / 0.9
-    capture.change_frames(lambda light: light + room)
-    frames = dict(capture.tile.frames)
-    frames["Relio_2"], frames["Relio_5"] = frames["Relio_5"], frames["Relio_2"]
-    exchanged = capture.said(capture.tile.model_copy(update={"frames": frames}))
-    assert [(warning.code, warning.lamps) for warning in exchanged] == [("exchanged", ("Relio_2", "Relio_5"))]
-    assert [warning.code for warning in capture.said()] == ["additive-light"]
+    additive = CaptureWarning("additive-light", "light in all", value=3.0, unit="%")
+    odd = CaptureWarning("odd", "agrees with no other", lamps=("Relio_1",))
+    monkeypatch.setattr(examination, "compare_with_predictions", lambda *_: [additive, odd])
+    stand, tile = capture.tile.stand, capture.tile
+    lights = LightField(tile.lamps, positions=stand.lamp_positions())
+    frames = tile.frames | {"Relio_2": tile.frames["Relio_5"], "Relio_5": tile.frames["Relio_2"]}
+    for one, codes in (
+        (tile, ["additive-light", "odd"]),
+        (tile.model_copy(update={"frames": frames}), ["exchanged", "odd"]),
+    ):
+        found = examination.examine_photographs(one, lights, True, capture.folder)
+        assert [warning.code for warning in found] == codes
 
 
 @pytest.mark.parametrize(("scene", "number"), [("painting", 2), ("drawing", 7), ("painting", 5)])
