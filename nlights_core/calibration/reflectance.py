@@ -45,7 +45,7 @@ LEAST_REFLECTANCE, MOST_REFLECTANCE = 0.02, 0.3
 
 
 def grazing(strength: float) -> float:
-    """What Fresnel's term of a lobe of strength 1 grows by towards grazing light.
+    """Growth of Fresnel's term towards grazing light, of a lobe of strength 1.
 
     Schlick's term F + (1 - F) x of a surface of reflectance F at normal incidence is F / 0.04 times 0.04 + g x, with
     g = 0.04 (1 / F - 1).  All lobes of a surface are of one material, so F is that of their sum: with the 0.96 of
