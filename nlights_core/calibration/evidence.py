@@ -158,18 +158,30 @@ def stands(equations: Equations, shared: Shared, found: Found) -> bool:
 
 
 def covariance(equations: Equations, shared: Shared, found: Found) -> Array:
-    """Covariance of the unknowns that were fitted, (M, M): the larger of two ways to find it.
+    """Covariance of the unknowns that were fitted, (M, M); see `covariance_of`."""
+    precisions, _ = prior(shared)
+    return covariance_of(equations, precisions, found.free)
+
+
+def covariance_of(
+    equations: Equations, precisions: Array, free: Sequence[int], less: Array | None = None
+) -> Array:
+    """Covariance of the unknowns at some places, (M, M): the larger of two ways to find it.
 
     The scatter of the equations between parts of the field knows what neighbours share; the posterior, that what is
-    wrong everywhere does not scatter.
+    wrong everywhere does not scatter.  ``less`` (M,): by which factor the equations know less of each unknown than
+    they say; the scatter is what it is.
     """
-    precisions, _ = prior(shared)
-    places = np.array(found.free, np.intp)
+    places = np.array(free, np.intp)
     block = np.ix_(places, places)
-    inverse = np.linalg.inv(equations.matrix[block] + np.diag(precisions[places]))
-    scattered = inverse @ (equations.scatter[block] + np.diag(precisions[places])) @ inverse
+    own = np.diag(precisions[places])
+    inverse = np.linalg.inv(equations.matrix[block] + own)
+    scattered = inverse @ (equations.scatter[block] + own) @ inverse
+    posterior = inverse
+    if less is not None:
+        posterior = np.linalg.inv(equations.matrix[block] * np.outer(less[places], less[places]) + own)
     out = np.zeros_like(equations.matrix)
-    out[block] = larger_covariance(inverse, scattered)
+    out[block] = larger_covariance(posterior, scattered)
     return out
 
 

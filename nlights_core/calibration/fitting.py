@@ -138,20 +138,49 @@ def calibrate(
     TileError
         When no normal could be found.
     """
-    count = len(lights.lamps)
     thin = thinned_room(room) if room.grid.rows * room.grid.columns >= THINNED else room
-    raw = thin.raw(0, thin.grid.rows, lights)
+    state, found, doubt = _choose(thin, lights, flat_field, chosen, progress)
+    assert state.equations is not None
+    believed = (*(name for name in chosen if name == "level"), *found.believed)
+    free = found.free
+    if smooth_residual(state.equations) > LOST:
+        # What is believed of photographs that the model does not fit would be wrong: nothing is taken out of them.
+        state = _State(nothing(len(lights.lamps)), np.zeros(room.grid.shape, np.float32))
+        believed, free = (), ()
+    else:
+        _widen(state, room.grid.shape)
+    raw = room.raw(0, room.grid.rows, lights)
+    # A drift moves strengths and height by turns, and once does not settle both.
+    for _ in range(2 if "lamps" in believed else 1):
+        covariance = _fit_last(state, room, raw, lights, flat_field, free, positions, doubt)
+    apart = _with_strange(state, room, raw, lights, flat_field) - state.height
+    assert state.equations is not None
+    return Calibration(
+        state.shared, believed, covariance, state.equations, state.height, state.strange, apart
+    )
+
+
+def _choose(
+    room: ReducedRoom,
+    lights: LightField,
+    flat_field: FlatField,
+    chosen: tuple[str, ...],
+    progress: Callable[[float], None],
+) -> tuple[_State, evidence.Found, Array]:
+    """Rounds that choose what is believed: the state, what was found, and the covariance that `_doubt` adds."""
+    count = len(lights.lamps)
+    raw = room.raw(0, room.grid.rows, lights)
     kinds = [group for group in groups(count) if group.name in chosen]
     always = (0,) if "level" in chosen else ()
-    state = _State(nothing(count), np.zeros(thin.grid.shape, np.float32))
+    state = _State(nothing(count), np.zeros(room.grid.shape, np.float32))
     found: evidence.Found | None = None
     for number in range(ROUNDS):
-        flat, readings = _follow(state, thin, raw, lights, flat_field)
+        flat, readings = _follow(state, room, raw, lights, flat_field)
         assert state.scaled is not None
-        pixels = _pixels(state, thin, raw, readings, PIXELS)
+        pixels = _pixels(state, room, raw, readings, PIXELS)
         at = (pixels.rows, pixels.columns)
         state.equations = linearise(
-            thin, pixels, lights, flat, state.height[at], state.scaled[at], state.shared
+            room, pixels, lights, flat, state.height[at], state.scaled[at], state.shared
         )
         state.spread = state.equations.scale
         before, last = state.shared, found
@@ -167,25 +196,7 @@ def calibrate(
         if stands:
             break
     assert found is not None
-    assert state.equations is not None
-    doubt = _doubt(state, before, found, kinds)
-    believed = (*(name for name in chosen if name == "level"), *found.believed)
-    free = found.free
-    if smooth_residual(state.equations) > LOST:
-        # What is believed of photographs that the model does not fit would be wrong: nothing is taken out of them.
-        state = _State(nothing(count), np.zeros(room.grid.shape, np.float32))
-        believed, free = (), ()
-    else:
-        _widen(state, room.grid.shape)
-    raw = room.raw(0, room.grid.rows, lights)
-    # A drift moves strengths and height by turns, and once does not settle both.
-    for _ in range(2 if "lamps" in believed else 1):
-        covariance = _fit_last(state, room, raw, lights, flat_field, free, positions, doubt)
-    apart = _with_strange(state, room, raw, lights, flat_field) - state.height
-    assert state.equations is not None
-    return Calibration(
-        state.shared, believed, covariance, state.equations, state.height, state.strange, apart
-    )
+    return state, found, _doubt(state, before, found, kinds)
 
 
 @dataclass

@@ -98,28 +98,16 @@ def fit_with_positions(
     always = [order[place] for place in free if place not in positive]
     always += range(len(places), len(places) + more)
     found = evidence.fit_groups(equations.matrix, right, precisions, centres, [limited], always)
-    kept = np.array(found.free, np.intp)
     values = vector.copy()
     values[list(free)] = found.values[[order[place] for place in free]]
-    lamps = np.isin(kept, [order[1 + k] for k in range(len(shared.strengths)) if 1 + k in order])
-    lamps |= kept >= len(places)
-    covariance = np.zeros_like(equations.matrix)
-    covariance[np.ix_(kept, kept)] = _covariance(equations, precisions, kept, lamps)
+    # Of the lamps are their strengths, and what stands behind the shared unknowns.
+    lamps = np.append((places >= 1) & (places <= len(shared.strengths)), np.ones(more, bool))
+    less = np.sqrt(np.where(lamps, 1.0, INDEPENDENT / NOISE_ALONE))
+    covariance = evidence.covariance_of(equations, precisions, found.free, less)
     # Heights are computed with the positions of the stand's file, whatever was found.
     last = np.arange(len(places), len(covariance))
     covariance[np.ix_(last, last)] = uncertainty**2 * np.eye(more)
     return values, covariance
-
-
-def _covariance(equations: Equations, precisions: Array, places: Array, lamps: Array) -> Array:
-    """Covariance of what was fitted; see `nlights_core.calibration.evidence.covariance`."""
-    block = np.ix_(places, places)
-    own = np.diag(precisions[places])
-    less = np.sqrt(np.where(lamps, 1.0, INDEPENDENT / NOISE_ALONE))
-    inverse = np.linalg.inv(equations.matrix[block] + own)
-    scattered = inverse @ (equations.scatter[block] + own) @ inverse
-    wide = np.linalg.inv(equations.matrix[block] * np.outer(less, less) + own)
-    return evidence.larger_covariance(wide, scattered)
 
 
 def _change(here: Samples, there: Samples, scaled: Array) -> Array:
