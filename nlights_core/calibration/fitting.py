@@ -43,6 +43,9 @@ PIXELS = 12_000
 MORE_PIXELS = 60_000
 """The same in the last fit: what lamps have changed is told by noise alone."""
 
+FEWER_PIXELS = 20_000
+"""The same in a fit before it, which the last one corrects."""
+
 THINNED = 4 * PIXELS
 """Pixels from which on only every other row and column is looked at before the last fit."""
 
@@ -99,6 +102,8 @@ class Calibration:
         Pixels of another material.
     apart : (h, w) float32 array
         What these do to the height if their own normals are taken for right, mm.
+    positions : float or None
+        Standard uncertainty of each coordinate of each lamp, mm, where there is evidence that it is more than stated.
     """
 
     shared: Shared
@@ -108,6 +113,7 @@ class Calibration:
     height: Array
     strange: Array
     apart: Array
+    positions: float | None = None
 
 
 def calibrate(
@@ -148,15 +154,20 @@ def calibrate(
         state = _State(nothing(len(lights.lamps)), np.zeros(room.grid.shape, np.float32))
         believed, free = (), ()
     else:
+        if "lamps" in believed:
+            # A drift moves strengths and height by turns, and once does not settle both.
+            raw = thin.raw(0, thin.grid.rows, lights)
+            _fit_last(state, thin, raw, lights, flat_field, free, positions, doubt, FEWER_PIXELS)
+            _follow(state, thin, raw, lights, flat_field)
         _widen(state, room.grid.shape)
     raw = room.raw(0, room.grid.rows, lights)
-    # A drift moves strengths and height by turns, and once does not settle both.
-    for _ in range(2 if "lamps" in believed else 1):
-        covariance = _fit_last(state, room, raw, lights, flat_field, free, positions, doubt)
+    covariance, wider = _fit_last(state, room, raw, lights, flat_field, free, positions, doubt, MORE_PIXELS)
+    if free:
+        _follow(state, room, raw, lights, flat_field)
     apart = _with_strange(state, room, raw, lights, flat_field) - state.height
     assert state.equations is not None
     return Calibration(
-        state.shared, believed, covariance, state.equations, state.height, state.strange, apart
+        state.shared, believed, covariance, state.equations, state.height, state.strange, apart, wider
     )
 
 
@@ -242,11 +253,15 @@ def _fit_last(
     free: tuple[int, ...],
     positions: float | None,
     doubt: Array,
-) -> Array:
-    """Fit what is believed once more, with more pixels and with the lamps' positions; return the covariance."""
+    wanted: int,
+) -> tuple[Array, float | None]:
+    """Fit what is believed once more, with so many pixels and with the lamps' positions.
+
+    Returns the covariance, and the positions' uncertainty where it is more than stated.
+    """
     flat, readings = _follow(state, room, raw, lights, flat_field)
     assert state.scaled is not None
-    pixels = _pixels(state, room, raw, readings, MORE_PIXELS)
+    pixels = _pixels(state, room, raw, readings, wanted)
     at = (pixels.rows, pixels.columns)
     z, scaled = state.height[at], state.scaled[at]
     places = np.array(sorted({0, *free}), np.intp)
@@ -254,12 +269,12 @@ def _fit_last(
     state.equations = linearise(
         room, pixels, lights, flat, z, scaled, state.shared, places=places, more=more, independent=NOISE_ALONE
     )
-    values, covariance = fit_with_positions(state.equations, state.shared, places, free, positions or 1.0)
+    found = fit_with_positions(state.equations, state.shared, places, free, positions or 1.0)
+    covariance = found.covariance
     if free:
         covariance[: len(places), : len(places)] += doubt[np.ix_(places, places)]
-        state.shared = state.shared.moved(values)
-        _follow(state, room, raw, lights, flat_field)
-    return covariance
+        state.shared = state.shared.moved(found.values)
+    return covariance, found.uncertainty if positions and found.uncertainty > positions else None
 
 
 def _pixels(state: _State, room: ReducedRoom, raw: Raw, readings: Raw, wanted: int) -> Pixels:

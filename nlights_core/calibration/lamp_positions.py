@@ -7,7 +7,9 @@ to have changed, that is taken for a change.  Texture tells which of the two it 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,6 +28,27 @@ SHIFT = 1.0
 NOISE_ALONE = 10_000
 """As how many independent pixels they count in the last fit, and in the uncertainty of what is the lamps': noise is
 each pixel's own.  Formulas of gloss, and the flat, are wrong for all pixels alike: see `INDEPENDENT`."""
+
+SETTLED = 100
+"""Steps in which the width of the positions' errors is found; each is as cheap as one of these small matrices."""
+
+
+class PositionedFit(NamedTuple):
+    """Values of the shared unknowns, fitted together with the lamps' positions.
+
+    Attributes
+    ----------
+    values : (M,) float64 array
+        Of the shared unknowns.
+    covariance : (S + 3 L, S + 3 L) float64 array
+        Of what the equations are of.
+    uncertainty : float
+        Standard uncertainty of each coordinate, mm: as stated, or more where there is evidence of it.
+    """
+
+    values: Array
+    covariance: Array
+    uncertainty: float
 
 
 def columns_of_positions(
@@ -63,7 +86,7 @@ def columns_of_positions(
 
 def fit_with_positions(
     equations: Equations, shared: Shared, places: Array, free: tuple[int, ...], uncertainty: float
-) -> tuple[Array, Array]:
+) -> PositionedFit:
     """Fit shared unknowns and the lamps' positions together.
 
     Parameters
@@ -77,14 +100,7 @@ def fit_with_positions(
     free : tuple of int
         Places of those that are fitted; the others keep their values.
     uncertainty : float
-        Standard uncertainty of each coordinate, mm.
-
-    Returns
-    -------
-    values : (M,) float64 array
-        Of the shared unknowns.
-    covariance : (S + 3 L, S + 3 L) float64 array
-        Of what the equations are of.
+        Standard uncertainty of each coordinate as stated, mm.
     """
     vector = shared.vector()
     more = len(equations.right) - len(places)
@@ -97,7 +113,16 @@ def fit_with_positions(
     limited = Group("", tuple(order[place] for place in free if place in positive), True)
     always = [order[place] for place in free if place not in positive]
     always += range(len(places), len(places) + more)
-    found = evidence.fit_groups(equations.matrix, right, precisions, centres, [limited], always)
+
+    def fit() -> evidence.Found:
+        return evidence.fit_groups(equations.matrix, right, precisions, centres, [limited], always)
+
+    found = fit()
+    # Where nothing is fitted the model does not fit at all, and says nothing of lamps.
+    if more and free:
+        uncertainty *= _wider(equations.matrix, right, precisions, centres, found.free, more)
+        precisions[len(places) :] = uncertainty**-2
+        found = fit()
     values = vector.copy()
     values[list(free)] = found.values[[order[place] for place in free]]
     # Of the lamps are their strengths, and what stands behind the shared unknowns.
@@ -107,7 +132,37 @@ def fit_with_positions(
     # Heights are computed with the positions of the stand's file, whatever was found.
     last = np.arange(len(places), len(covariance))
     covariance[np.ix_(last, last)] = uncertainty**2 * np.eye(more)
-    return values, covariance
+    return PositionedFit(values, covariance, uncertainty)
+
+
+def _wider(
+    matrix: Array, right: Array, precisions: Array, centres: Array, free: Sequence[int], more: int
+) -> float:
+    """Factor by which the last ``more`` unknowns scatter more than stated; 1 without evidence.
+
+    The width with the largest likelihood, by expectation and maximisation: each step asks how far the unknowns would
+    be from what is stated if the width were that of the step before.
+    """
+    places = np.array(free, np.intp)
+    own, inner = precisions[places], matrix[np.ix_(places, places)]
+    shifted = right[places] - inner @ centres[places]
+    last = places >= len(right) - more
+
+    def look(wide: float) -> tuple[float, float]:
+        """Logarithm of the likelihood, and mean square over what is stated."""
+        prior = own.copy()
+        prior[last] /= wide**2
+        inverse = np.linalg.inv(inner + np.diag(prior))
+        values = inverse @ shifted
+        likelihood = float(shifted @ values) + float(np.linalg.slogdet(inverse)[1] + np.log(prior).sum())
+        square = (values[last] ** 2 + np.diag(inverse)[last]) * own[last]
+        return likelihood / 2, float(square.mean())
+
+    wide, (before, square) = 1.0, look(1.0)
+    for _ in range(SETTLED):
+        wide = float(np.sqrt(square))
+        likelihood, square = look(wide)
+    return wide if wide > 1 and likelihood - before > evidence.MARGIN else 1.0
 
 
 def _change(here: Samples, there: Samples, scaled: Array) -> Array:

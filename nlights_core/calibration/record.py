@@ -88,6 +88,9 @@ class Known:
         How far heights by the low and by the high lamps differ; None: there are no two halves that can measure.
     noisier : float or None
         Variance of the photographs' noise over that of the flats; None: noise is stated, or cannot be compared.
+    positions : float or None
+        Standard uncertainty of each coordinate of each lamp where there is evidence that it is larger than the
+        stand's file states, mm; None: there is none.
     """
 
     shared: Shared
@@ -99,6 +102,7 @@ class Known:
     unreached: float
     answers: TwoAnswers | None = None
     noisier: float | None = None
+    positions: float | None = None
 
 
 def write_calibration(
@@ -131,6 +135,7 @@ def write_calibration(
         "unreached": missed,
         "answers": asdict(answers) if answers else None,
         "noisier": noisier,
+        "positions_mm": found.positions,
     }
     (folder / "calibration.json").write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
     write_array(folder / "height.npy", found.height)
@@ -155,6 +160,7 @@ def write_nothing(folder: Path, lamps: int, grid: PixelGrid, noisier: float | No
         "unreached": 0.0,
         "answers": None,
         "noisier": noisier,
+        "positions_mm": None,
     }
     (folder / "calibration.json").write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
     edge = block_edge(grid.columns)
@@ -176,6 +182,7 @@ def read_calibration(folder: Path) -> Known:
         record["unreached"],
         _answers(record["answers"]),
         record["noisier"],
+        record["positions_mm"],
     )
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from nlights_core.calibration.record import NOISIER
 from nlights_core.frames import Array
-from nlights_core.report.figures import Number
+from nlights_core.report.figures import NOT_MEASURED, Number
 
 if TYPE_CHECKING:
     from nlights_core.calibration.record import Known
@@ -101,6 +101,7 @@ def _light(known: Known | None) -> list[Number]:
             else "",
             code="drift",
         ),
+        _positions(known),
         Number(
             "Light",
             "Light that the dark frame lacks",
@@ -127,6 +128,28 @@ def _light(known: Known | None) -> list[Number]:
             code="additive-light",
         ),
     ]
+
+
+def _positions(known: Known | None) -> Number:
+    """Distance of the lamps from where the stand's file has them, as far as the photographs tell."""
+    off = known.positions if known else None
+    return Number(
+        "Light",
+        "Lamps' distance from the stand's file, per axis",
+        off,
+        "mm",
+        "Typical, where the photographs are evidence that it is more than the file states; the height's uncertainty "
+        "then counts with this instead. Positions are not corrected: measure the stand again.",
+        NOT_MEASURED
+        if known is None or known.residual is None
+        else "no evidence that it is more than stated",
+        warning=f"The lamps stand some {off:.1f} mm (per axis) from where the stand's file has them, more than it "
+        "states: see that it is the file of this stand, and measure its points of interest again. The uncertainty of "
+        "the height counts with this distance."
+        if off is not None
+        else "",
+        code="lamp-positions",
+    )
 
 
 def _gloss(known: Known | None) -> list[Number]:

@@ -1,13 +1,16 @@
 """Lamps that stand elsewhere than the stand's file says are neither taken for drift nor forgotten."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from nlights_core.calibration.fitting import calibrate
+from nlights_core.calibration.lamp_positions import fit_with_positions
 from nlights_core.calibration.linearisation import CELL, coarse_grid
 from nlights_core.calibration.uncertainty import block_means, smooth_errors
+from nlights_core.calibration.unknowns import nothing
 
 DRIFT = np.array([1.02, 0.975, 0.99, 1.025, 1.01, 0.99, 1.0, 0.985])
 
@@ -66,3 +69,36 @@ def test_an_unknown_position_makes_the_height_less_certain(matt):
     assert (wide.height > plain.height).all()
     assert np.median(wider.height / wide.height) > 2
     assert (wide.slope > plain.slope).all()
+
+
+def test_lamps_far_from_the_stands_file_are_found_and_their_distance_counts(matt):
+    scene = matt[1]
+    shift = np.random.default_rng(5).normal(0, 5, scene.lights.positions.shape)
+    off = replace(scene.lights, positions=scene.lights.positions + shift)
+    there, here = (
+        calibrate(scene.room, lights, scene.flat_field, ("level", "lamps"), 0.77)
+        for lights in (off, scene.lights)
+    )
+    assert here.positions is None
+    # Of the lamps' distances a part is told by texture, and the rest is taken to be like it.
+    assert 0.5 * np.std(shift) < there.positions < 1.5 * np.std(shift)
+    wide, narrow = (smooth_errors(found, scene.lights, scene.room.grid).height for found in (there, here))
+    assert np.median(wide) > 1.3 * np.median(narrow)
+    apart = block_means(there.height - scene.height, CELL, coarse_grid(scene.room.grid))
+    # One draw of 24 coordinates, of which a few patterns bend the height.
+    assert np.std(apart) < 3 * np.sqrt(np.mean(wide**2))
+
+
+@pytest.mark.parametrize(("scatter", "told"), [(1.0, False), (6.0, True)])
+def test_the_width_of_positions_is_told_by_linear_equations_of_it(scatter, told):
+    """Equations of a level and 24 coordinates, of which the truth is known."""
+    rng = np.random.default_rng(11)
+    design = rng.normal(size=(400, 25))
+    truth = np.concatenate([[0.3], rng.normal(0, scatter, 24)])
+    equations = SimpleNamespace(
+        matrix=design.T @ design, right=design.T @ (design @ truth + rng.normal(size=400)), scatter=np.eye(25)
+    )
+    found = fit_with_positions(equations, nothing(8), np.array([0]), (0,), 1.0)
+    assert found.values[0] == pytest.approx(0.3, abs=0.2)
+    assert found.uncertainty == (pytest.approx(np.sqrt(np.mean(truth[1:] ** 2)), rel=0.05) if told else 1.0)
+    assert np.diag(found.covariance)[1:] == pytest.approx(found.uncertainty**2)

@@ -32,6 +32,7 @@ def test_a_sound_capture_has_its_level_and_no_warning():
         "Drift of the lamps since the flats": 0,
         "Light that the dark frame lacks": 0,
         "Light of the room": 0,
+        "Lamps' distance from the stand's file, per axis": None,
         "Gloss": 0,
         "Roughness of the gloss": None,
         "Departure from Lambert's law": 0,
@@ -96,3 +97,9 @@ def test_what_is_wrong_with_a_capture_is_told_with_its_code(values, code, words)
     told = [number for number in numbers(changed(**values)).values() if number.warning]
     assert [number.code for number in told] == [code]
     assert words in told[0].warning
+
+
+def test_lamps_that_stand_elsewhere_are_warned_of_with_their_distance():
+    number = numbers(changed(positions=3.94))["Lamps' distance from the stand's file, per axis"]
+    assert (number.value, number.unit, number.code) == (3.94, "mm", "lamp-positions")
+    assert "stand some 3.9 mm (per axis)" in number.warning
