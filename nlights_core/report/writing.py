@@ -74,7 +74,7 @@ def write_report(
             if shifts.believed:
                 # What was taken out is said once, by those who took it out.
                 photographs = [warning for warning in photographs if warning.code != "moved"]
-        numbers = quality.grouped(_without_explained(numbers, photographs))
+        numbers = quality.grouped(doubting_only_unexplained(numbers, photographs))
         warnings = _warnings(photographs, others, numbers)
         write_html(folder / "report.html", said, drawing.result(), numbers, warnings)
     if "trend" in made and (made["trend"] / DIFFERENCES).is_file():
@@ -208,12 +208,16 @@ EXPLAINS_STAND = {
 again before these are mended: if it is the stand as well, the next capture says so."""
 
 
-def _without_explained(numbers: Sequence[Number], photographs: Sequence[CaptureWarning]) -> list[Number]:
-    """Numbers of which the flats' fit to the stand warns only where nothing else explains it."""
-    found = {warning.code for warning in photographs} | {number.code for number in numbers if number.warning}
-    if not found & EXPLAINS_STAND:
-        return list(numbers)
-    return [replace(number, warning="") if number.code == "stand" else number for number in numbers]
+def doubting_only_unexplained(
+    numbers: Sequence[Number], photographs: Sequence[CaptureWarning]
+) -> list[Number]:
+    """Numbers of which those that doubt the stand warn only where nothing else explains it."""
+    seen = {warning.code for warning in photographs} & EXPLAINS_STAND
+    found = {number.code for number in numbers if number.warning} & EXPLAINS_STAND
+    # The calibration finds the lamps' positions together with all that it corrects.
+    explained = {"stand"} if seen or found else set()
+    explained |= {"lamp-positions"} if seen else set()
+    return [replace(number, warning="") if number.code in explained else number for number in numbers]
 
 
 FIRST = "Mend what stands above first; if this stays: "

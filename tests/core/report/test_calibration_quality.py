@@ -7,7 +7,10 @@ import pytest
 
 from nlights_core.calibration.record import Known
 from nlights_core.calibration.unknowns import nothing
+from nlights_core.capture_warnings import CaptureWarning
 from nlights_core.report.calibration_quality import of_calibration
+from nlights_core.report.figures import Number
+from nlights_core.report.writing import doubting_only_unexplained
 
 UNCERTAINTY = np.array([np.full((3, 4), 0.02), np.full((3, 4), 0.001)], np.float32)
 SOUND_CAPTURE = Known(replace(nothing(3), level=0.5), 0.04, (), 0.0002, False, 0.0, 0.0)
@@ -103,3 +106,23 @@ def test_lamps_that_stand_elsewhere_are_warned_of_with_their_distance():
     number = numbers(changed(positions=3.94))["Lamps' distance from the stand's file, per axis"]
     assert (number.value, number.unit, number.code) == (3.94, "mm", "lamp-positions")
     assert "stand some 3.9 mm (per axis)" in number.warning
+
+
+@pytest.mark.parametrize(
+    ("seen", "measured", "left"),
+    [
+        ((), (), {"stand", "lamp-positions"}),
+        (("exchanged",), (), set()),
+        ((), ("drift",), {"drift", "lamp-positions"}),
+        (("moved",), (), {"stand", "lamp-positions"}),
+    ],
+)
+def test_the_stand_is_doubted_only_where_nothing_else_explains_it(seen, measured, left):
+    warned = [
+        Number("Light", code, 1.0, "mm", "", warning="is wrong", code=code)
+        for code in ("stand", "lamp-positions", *measured)
+    ]
+    photographs = [CaptureWarning(code, "is wrong") for code in seen]
+    kept = doubting_only_unexplained(warned, photographs)
+    assert {number.code for number in kept if number.warning} == left
+    assert len(kept) == len(warned)
