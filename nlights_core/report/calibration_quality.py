@@ -131,7 +131,10 @@ def _light(known: Known | None) -> list[Number]:
 
 
 def _positions(known: Known | None) -> Number:
-    """Distance of the lamps from where the stand's file has them, as far as the photographs tell."""
+    """Distance of the lamps from where the stand's file has them, as far as the photographs tell.
+
+    Where the model does not fit it is no cause that anybody should look for: photographs that moved look like it too.
+    """
     off = known.positions if known else None
     return Number(
         "Light",
@@ -146,7 +149,7 @@ def _positions(known: Known | None) -> Number:
         warning=f"The lamps stand some {off:.1f} mm (per axis) from where the stand's file has them, more than it "
         "states: see that it is the file of this stand, and measure its points of interest again. The uncertainty of "
         "the height counts with this distance."
-        if off is not None
+        if known is not None and off is not None and not known.misfit
         else "",
         code="lamp-positions",
     )
