@@ -19,6 +19,7 @@ from nlights_core.manifest import load_capture
 from nlights_core.recipe import load_recipe
 from nlights_core.simulation.captures import simulate
 from nlights_core.store import RECORD, Store
+from nlights_core.store.records import described_files, sealed
 from nlights_flows.tiles.chain import digitise_tile
 from nlights_flows.tiles.run_options import RunOptions
 from nlights_flows.tiles.running import run_directly
@@ -86,8 +87,8 @@ def _alike(store: Store, work: Any, model: Any) -> Any:
         for path in store.path(model).iterdir():
             if path.name != RECORD:
                 os.link(path, target / path.name)
-        files = {path.name: path.stat().st_size for path in target.iterdir()}
-        (target / RECORD).write_text(json.dumps({**work.record, "files": files}), encoding="utf-8")
+        files = described_files(target.iterdir())
+        (target / RECORD).write_text(sealed({**work.record, "files": files}), encoding="utf-8")
     return work.ref
 
 

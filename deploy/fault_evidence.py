@@ -11,7 +11,7 @@ from typing import Any
 
 from nlights_core.store import RECORD, ArtefactRef, Store
 
-VARIES = ("seconds",)
+VARIES = ("seconds", "seal")
 """What an artefact's record may say differently each time."""
 
 PASSING = re.compile(r"\.(draft|former|probe|now|stale)-.*|\.(night\.(json|html)|[0-9a-f]{32})-[0-9a-f]{8}")

@@ -8,6 +8,10 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+from xxhash import xxh3_128
+
+from nlights_core.files.content_digests import remember_digest
+
 STEP = 64 << 20
 """Bytes that are written between two flushes."""
 
@@ -16,7 +20,8 @@ class SteadyFile:
     """Writer of a file from its beginning to its end, and flushes it behind the writer's back.
 
     Nobody then waits for the disk at the end, when the artefact has to be safe before it is renamed, and
-    what waits to be written never takes more than two steps of memory.
+    what waits to be written never takes more than two steps of memory.  The file's digest is found on the way
+    (`nlights_core.files.content_digests`), so that nobody has to read it again for that.
 
     Parameters
     ----------
@@ -38,6 +43,8 @@ class SteadyFile:
 
     def __init__(self, path: Path, mode: str = "xb", *, start: int = 0, read_soon: bool = False) -> None:
         self._file: Any = path.open(mode)
+        # What stands before the beginning, such as a header, belongs to the content.
+        self._digest = xxh3_128((self._file.read(start) if start else b"").ljust(start, b"\0"))
         self._file.seek(start)
         self._read_soon = read_soon
         self._written = self._flushed = start
@@ -48,6 +55,7 @@ class SteadyFile:
         """Append bytes, or anything that holds them in one piece."""
         view = memoryview(data)
         self._file.write(view)
+        self._digest.update(view)
         self._written += view.nbytes
         if self._written - self._flushed >= STEP:
             self._flush_behind()
@@ -73,7 +81,11 @@ class SteadyFile:
         finally:
             if self._pool is not None:
                 self._pool.shutdown()
-            self._file.close()
+            with self._file as file:
+                file.flush()
+                status = os.fstat(file.fileno())
+        if status.st_size == self._written:
+            remember_digest(status, self._digest.hexdigest())
 
     def __enter__(self) -> SteadyFile:
         return self

@@ -24,12 +24,15 @@ from nlights_core.products.meshes import write_glb
 from nlights_core.products.pixel_meshes import write_ply
 from nlights_core.products.viewing import NormalsView, write_albedo_view
 from nlights_core.solving.least_squares import COVERING
-from nlights_core.store import RECORD, ArtefactRef, Store, link_or_copy
+from nlights_core.store import RECORD, ArtefactRef, Store
+from nlights_core.store.whole_files import link_or_copy
 
 COLOURED = ("albedo", "reflection")
 """Maps that the normal stage writes as they leave the system."""
 
 FRAME = "plane frame: x right, y up, z from the artwork to the camera; NaN where not known"
+
+PROVENANCE = "provenance.json"
 
 WHAT = {
     "normals.tif": "unit normals x, y, z in the plane frame, float32",
@@ -47,7 +50,7 @@ WHAT = {
     "report.html": "pictures and numbers",
     "quality.json": "the numbers of the report",
     "warnings.json": "what is wrong with the capture, or may be",
-    "provenance.json": "what made these files, in full",
+    PROVENANCE: "what made these files, in full, and a digest of each",
 }
 
 

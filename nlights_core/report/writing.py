@@ -26,7 +26,7 @@ from nlights_core.near_light.position_uncertainty import position_uncertainty
 from nlights_core.photographs.flat_fields import read_flat_field
 from nlights_core.photographs.masks import Mask
 from nlights_core.photographs.noise import read_noise
-from nlights_core.products.writing import WHAT, open_maps, white_reflectance
+from nlights_core.products.writing import PROVENANCE, WHAT, open_maps, white_reflectance
 from nlights_core.reduced_light.borders import PICTURE, read_proposal
 from nlights_core.report import quality
 from nlights_core.report.agreement_quality import of_agreement
@@ -36,6 +36,7 @@ from nlights_core.report.figures import NOT_IN_RECIPE, NOT_MEASURED, Number
 from nlights_core.report.flat_quality import of_flat_levels
 from nlights_core.solving.agreement import read_agreement
 from nlights_core.store import RECORD, ArtefactRef, Store
+from nlights_core.store.records import described_files, read_sealed, sealed
 
 
 def write_report(
@@ -81,7 +82,13 @@ def write_report(
         shutil.copyfile(made["trend"] / DIFFERENCES, folder / DIFFERENCES)
     write_warnings(folder, warnings)
     _write_json(folder / "quality.json", [asdict(number) for number in numbers])
-    _write_json(folder / "provenance.json", _provenance(tile, record, list(records.values())))
+    products = {
+        **described_files(folder.iterdir()),
+        **_files(store, refs["maps"]),
+        **_files(store, refs["mesh"]),
+    }
+    provenance = _provenance(tile, record, list(records.values()), products)
+    (folder / PROVENANCE).write_text(sealed(provenance), encoding="utf-8")
 
 
 def _open_maps(
@@ -133,8 +140,19 @@ def _facts(
     }
 
 
-def _provenance(tile: Tile, record: Mapping[str, Any], stages: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Record of what made the products, in full."""
+def _files(store: Store, ref: ArtefactRef | None) -> dict[str, Any]:
+    """Size and digest of each file of an artefact, by its record."""
+    assert ref is not None
+    return read_sealed(store.path(ref) / RECORD)["files"]  # type: ignore[no-any-return]
+
+
+def _provenance(
+    tile: Tile,
+    record: Mapping[str, Any],
+    stages: Sequence[Mapping[str, Any]],
+    products: Mapping[str, Mapping[str, Any]],
+) -> dict[str, Any]:
+    """Record of what made the products, in full, and size and digest of each."""
     return {
         "nlights": __version__,
         "artwork": tile.artwork,
@@ -145,6 +163,7 @@ def _provenance(tile: Tile, record: Mapping[str, Any], stages: Sequence[Mapping[
         "recipe": record["facts"]["recipe"],
         "stand": record["facts"]["stand"],
         "photographs": {lamp: path.name for lamp, path in tile.frames.items()},
+        "files": {name: said for name, said in sorted(products.items()) if name in WHAT},
         "stages": stages,
     }
 
@@ -245,7 +264,7 @@ def _records(store: Store, refs: Mapping[str, ArtefactRef | None]) -> dict[str, 
     found: dict[str, dict[str, Any]] = {}
 
     def visit(folder: str) -> None:
-        record = json.loads((store.root / folder / RECORD).read_text(encoding="utf-8"))
+        record = read_sealed(store.root / folder / RECORD)
         for cause in record.pop("input_folders").values():
             visit(cause)
         for name in ("seconds", "files"):

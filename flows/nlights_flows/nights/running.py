@@ -17,6 +17,7 @@ from nlights_core.capture_warnings import read_warnings
 from nlights_core.errors import NlightsError
 from nlights_core.names.artworks import require_own_folder
 from nlights_core.products.publishing import publish
+from nlights_core.store import RottenArtefactError
 from nlights_flows.nights.checking import in_store, require_usable
 from nlights_flows.nights.claims import Claims
 from nlights_flows.nights.estimates import learn_estimate, require_disk
@@ -220,7 +221,7 @@ class Night:
         started = time.monotonic()
         try:
             published = publish(store, tile, refs, order.options.out)
-        except OSError:  # somebody deletes artefacts: running the tile makes them again, or says why not
+        except (OSError, RottenArtefactError):  # artefacts are gone: running the tile makes them again
             return False
         took = time.monotonic() - started
         self._take_down(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib.util
 import keyword
 import re
-import shutil
 from importlib import metadata
 from pathlib import Path
 
@@ -14,7 +13,7 @@ from nlights_core import algorithms, capture, errors, fields, frames
 from nlights_core.algorithms import KINDS
 from nlights_core.errors import PluginError
 from nlights_core.registry import installed
-from nlights_core.store import draft_name
+from nlights_core.store import draft
 
 TEMPLATES = Path(__file__).parent / "template"
 
@@ -64,14 +63,12 @@ def begin(name: str, kind: str, out: Path) -> Path:
         f"{words['module']}.py": f"{kind}.py.j2",
         f"test_{words['module']}.py": "test.py.j2",
     }
-    draft = out / draft_name()
-    try:
-        draft.mkdir(parents=True)
+    out.mkdir(parents=True, exist_ok=True)
+    with draft(out) as place:
+        place.mkdir()
         for file, template in files.items():
-            (draft / file).write_text(templates.get_template(template).render(words), encoding="utf-8")
-        draft.rename(folder)
-    finally:
-        shutil.rmtree(draft, ignore_errors=True)
+            (place / file).write_text(templates.get_template(template).render(words), encoding="utf-8")
+        place.rename(folder)
     return folder
 
 

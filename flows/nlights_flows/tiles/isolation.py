@@ -65,6 +65,7 @@ def ensure(
         return True
     if not needs_child(arguments, timeout):
         return store.ensure(work, progress)
+    store.require_whole_inputs(work)
     answer = None
     try:
         with store.scratch() as scratch:
@@ -85,7 +86,10 @@ def ensure(
             # A killed child's drafts would go when their folders are next written to; they may be large.
             sweep(store.path(work.ref).parent)
             sweep(store.root / ".scratch")
-    return _take_answer(answer)
+    cached = _take_answer(answer)
+    if not cached:
+        store.trust(work.ref)
+    return cached
 
 
 def needs_child(arguments: Sequence[Any], timeout: float | None) -> bool:
@@ -177,7 +181,7 @@ def _done(job: dict[str, Any], progress: Progress) -> dict[str, Any]:
                 f"the stage '{job['stage']}': its photographs or the code of its algorithm were changed while it "
                 "ran; run again"
             )
-        return {"cached": store.ensure(work, progress)}
+        return {"cached": store.ensure(work, progress, inputs_are_whole=True)}
     except OSError as fault:
         return {"errno": fault.errno, "strerror": fault.strerror or str(fault), "filename": fault.filename}
     except MemoryError as fault:

@@ -10,12 +10,13 @@ from typing import Any, Literal
 
 from nlights_core.capture import Tile
 from nlights_core.errors import NlightsError, TileError
+from nlights_core.machine.progress import note
 from nlights_core.memory import ANY_TILE, require
 from nlights_core.names.artworks import require_own_folder
 from nlights_core.photographs.headers import survey
 from nlights_core.products.publishing import Published, publish
 from nlights_core.recipe import Recipe
-from nlights_core.store import ArtefactRef, Work
+from nlights_core.store import ArtefactRef, RottenArtefactError, Work
 from nlights_flows.tiles import isolation
 from nlights_flows.tiles.chain import digitise_tile
 from nlights_flows.tiles.explaining import explain_fault
@@ -52,6 +53,9 @@ class Outcome:
     seconds: float = 0.0
     notes: tuple[str, ...] = ()
 
+
+ROTTEN = 30
+"""Artefacts of a tile that are made again, at most: a disk on which more are damaged keeps nothing."""
 
 Around = Callable[[Tile, Callable[[], Outcome]], Outcome | None]
 """Told a tile and how to run it, right before it would be run; None when it declined to."""
@@ -93,9 +97,21 @@ def run_tile(tile: Tile, recipe: Recipe, options: RunOptions, call: Callable[...
     require_own_folder(tile.artwork, options.out)
     require_memory(tile, recipe)
     store = options.artefacts
-    with Photographs.watched(tile, recipe, store):
-        refs = digitise_tile(tile, recipe, call, options.compression)
-    return publish(store, tile, refs, options.out)
+    removed: list[str] = []
+    while True:
+        try:
+            with Photographs.watched(tile, recipe, store):
+                refs = digitise_tile(tile, recipe, call, options.compression)
+            published = publish(store, tile, refs, options.out)
+        except (
+            RottenArtefactError
+        ) as fault:  # it is gone: the chain makes it again, and passes by what is whole
+            if len(removed) == ROTTEN:
+                raise
+            removed.append(str(fault))
+            note(f"{tile.name}: {fault}")
+        else:
+            return published._replace(remade=tuple(removed))
 
 
 def require_memory(tile: Tile, recipe: Recipe) -> None:

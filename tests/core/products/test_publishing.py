@@ -10,7 +10,8 @@ import pytest
 
 from nlights_core.manifest import load_capture
 from nlights_core.products.publishing import publish
-from nlights_core.store import ArtefactRef, Store
+from nlights_core.store import RECORD, ArtefactRef, Store
+from nlights_core.store.records import described_files, sealed
 
 ROUNDS = 150
 
@@ -18,6 +19,8 @@ ROUNDS = 150
 def refs_of(store: Store, tile, key: str, photographs: str = "") -> dict[str, ArtefactRef]:
     """Artefacts of a recipe: as many files as a tile has, which say whose they are; a letter is a photograph."""
     refs = {name: ArtefactRef(name, tile.artwork, tile.name, key * 64) for name in ("maps", "mesh", "report")}
+    if (store.path(refs["report"]) / RECORD).exists():
+        return refs
     files = {"maps": ("height.tif", "normals.tif"), "mesh": ("mesh.ply",), "report": ("report.html",)}
     for name, ref in refs.items():
         store.path(ref).mkdir(parents=True, exist_ok=True)
@@ -26,6 +29,10 @@ def refs_of(store: Store, tile, key: str, photographs: str = "") -> dict[str, Ar
     stages = [{"facts": {"frames": {str(i): digest for i, digest in enumerate(photographs)}}}, {"facts": {}}]
     provenance = {"key": key * 64, "stages": stages}
     (store.path(refs["report"]) / "provenance.json").write_text(json.dumps(provenance))
+    for ref in refs.values():
+        folder = store.path(ref)
+        described = described_files(path for path in folder.iterdir() if path.name != RECORD)
+        (folder / RECORD).write_text(sealed({"key": ref.key, "files": described}))
     return refs
 
 
@@ -118,7 +125,7 @@ def test_products_with_a_photograph_in_common_are_replaced(painting, tmp_path, p
     store, out = Store(tmp_path / "store"), tmp_path / "out"
     target = publish(store, tile, refs_of(store, tile, "a", "pqr"), out).folder
     (target / "notes.txt").write_text("seen by M.")
-    assert publish(store, tile, refs_of(store, tile, "b", photographs), out) == (target, ())
+    assert publish(store, tile, refs_of(store, tile, "b", photographs), out) == (target, (), ())
     assert key_of(target) == "b"
     assert (target / "notes.txt").read_text() == "seen by M."
     assert [path.name for path in target.parent.iterdir()] == [tile.name]

@@ -187,7 +187,7 @@ def test_what_decides_nothing_costs_nothing(keys, place):
 def test_another_version_with_the_same_code_costs_nothing(keys, monkeypatch):
     _, found = keys
     before = found()
-    monkeypatch.setattr("nlights_core.store.__version__", "9.9.9")
+    monkeypatch.setattr("nlights_core.store.references.__version__", "9.9.9")
     monkeypatch.setattr(registry.Offer, "origin", property(lambda self: "nlights 9.9.9"))
     assert found() == before
 

@@ -3,7 +3,6 @@
 import json
 import os
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -106,8 +105,9 @@ def test_a_run_killed_between_the_two_renames_of_publishing_loses_nothing(painti
     target = tmp_path / "simulated-painting" / "r0c0"
     (target / "notes.txt").write_text("seen by M.")
     target.rename(target.parent / ".former-r0c0")
-    left = target.parent / f".draft-{socket.gethostname()}-4194399-abcdef01"
+    left = target.parent / ".draft-0123456789abcdef"
     left.mkdir()
+    left.with_name(f"{left.name}.lock").touch()
     subprocess.run(command(painting, tmp_path), check=True, capture_output=True)
     assert (target / "notes.txt").read_text() == "seen by M."
     assert {name: data for name, data in contents(tmp_path).items() if name != "notes.txt"} == whole

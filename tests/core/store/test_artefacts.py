@@ -2,7 +2,6 @@
 
 import errno
 import json
-import os
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -71,21 +70,6 @@ def test_any_difference_makes_another_key():
     assert describe("height", "x", "y", algorithm=Simchony(), facts={"a": 1})[0].key == key()
 
 
-def test_drafts_of_dead_processes_are_swept_and_living_ones_kept(tmp_path):
-    import socket
-
-    folder = tmp_path / "inv-1" / "r0c0"
-    dead = folder / f".draft-{socket.gethostname()}-4194399-abcdef01"
-    living = folder / f".draft-{socket.gethostname()}-{os.getppid()}-abcdef01"
-    elsewhere = folder / ".draft-another-machine-4194399-abcdef01"
-    for draft in (dead, living, elsewhere):
-        draft.mkdir(parents=True)
-    Store(tmp_path).ensure(work(write))
-    assert not dead.exists()
-    assert living.exists()
-    assert elsewhere.exists()
-
-
 def test_an_artefact_damaged_or_of_another_key_is_replaced(tmp_path):
     store, job = Store(tmp_path), work(write)
     store.ensure(job)
@@ -119,7 +103,7 @@ def test_a_digest_that_many_ask_for_at_once_is_found_once(tmp_path, monkeypatch)
         begun.append(path)
         return xxh3_128()
 
-    monkeypatch.setattr("nlights_core.store.xxh3_128", counted)
+    monkeypatch.setattr("nlights_core.files.content_digests.xxh3_128", counted)
     with ThreadPoolExecutor(8) as pool:
         # Each with a store of its own, as tasks have.
         digests = list(pool.map(lambda _: Store(store.root).digest(path), range(8)))
