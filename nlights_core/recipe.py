@@ -59,7 +59,7 @@ class Recipe(Record):
 
     model_config = ConfigDict(frozen=True, extra="forbid", arbitrary_types_allowed=True)
 
-    name: str = Field(description="the file's name without its ending")
+    name: str = Field(description="of the recipe; the file's name without its ending, where it says none")
     light_model: SerializeAsAny[LightModel]
     detrend: Detrends = Detrends()
     normals: SerializeAsAny[NormalSolver]
@@ -167,6 +167,9 @@ def described(algorithm: Algorithm) -> dict[str, Any]:
     return {"use": algorithm.name, **algorithm.model_dump(mode="json")}
 
 
+LONGEST_NAME = 200
+"""Letters of the name that a recipe may give itself."""
+
 REQUIRED = ("light_model", "normals", "integrator")
 
 
@@ -245,7 +248,8 @@ class _Reader:
 
     def recipe(self, name: str) -> Recipe:
         data = self.source.data
-        self._refuse_unknown((), data, [name for name in Recipe.model_fields if name != "name"])
+        self._refuse_unknown((), data, list(Recipe.model_fields))
+        name = self._own_name(data, name)
         chosen = {slot: self.algorithm((slot,), data.get(slot)) for slot in REQUIRED if self._has(slot)}
         detrend = data.get("detrend")
         removed: dict[str, Any] = {}
@@ -265,6 +269,14 @@ class _Reader:
             except ValidationError as faults:
                 self.faults += self.source.sentences(faults, Recipe)
         raise RecipeError("\n".join(self.faults))
+
+    def _own_name(self, data: Mapping[str, Any], name: str) -> str:
+        """Name that the recipe gives itself, as in a tile's provenance; else the given one."""
+        own = data.get("name", name)
+        if not isinstance(own, str) or not own.isprintable() or not 0 < len(own) <= LONGEST_NAME:
+            what = f"should be text of 1 to {LONGEST_NAME} letters; put a number in quotes"
+            self.faults.append(self.source.fault(("name",), f"{what}; got {str(own)[:60]!r}"))
+        return str(own)
 
     def _sought(self, given: Any) -> Any:
         """Read what a calibration is asked for; None where there shall be none."""
@@ -367,6 +379,7 @@ def recipe_schema(registry: Registry | None = None) -> dict[str, Any]:
         "additionalProperties": False,
         "required": list(REQUIRED),
         "properties": {
+            "name": {"type": "string", "minLength": 1, "maxLength": LONGEST_NAME},
             "light_model": choice("light_model"),
             "detrend": {
                 "type": "object",

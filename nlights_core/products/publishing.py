@@ -18,7 +18,7 @@ from nlights_core.errors import TileError
 from nlights_core.products.writing import WHAT
 from nlights_core.store import RECORD, ArtefactRef, Store, draft, sweep
 from nlights_core.store.records import read_sealed
-from nlights_core.store.whole_files import copy, flush, make_folder, make_read_only, share_or_link
+from nlights_core.store.whole_files import flush, give_out, make_folder
 
 PRODUCTS = ("maps", "mesh", "report")
 """Artefacts that hold products."""
@@ -108,7 +108,7 @@ def publish(
         with draft(target.parent) as place:
             place.mkdir()
             for path in files:
-                _place(path, place / path.name, copied)
+                give_out(path, place / path.name, copied)
             flush(place)
             kept += _put(place, target, former, own)
         flush(target.parent)
@@ -134,13 +134,6 @@ def _files(store: Store, refs: Iterable[ArtefactRef]) -> dict[Path, str]:
             raise
         found |= {folder / name: said["xxh3"] for name, said in record["files"].items() if name in WHAT}
     return found
-
-
-def _place(source: Path, target: Path, copied: bool) -> None:
-    """Give the products a file of the store's; read-only, since nobody should think that he may change it."""
-    if copied or not share_or_link(source, target):
-        copy(source, target)
-        make_read_only(target)
 
 
 def _remember(store: Store, target: Path, files: Mapping[Path, str]) -> None:

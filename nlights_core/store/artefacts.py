@@ -225,7 +225,7 @@ class Store:
         self._remember(path, *self._memory(path), digest)
 
     def _memory(self, path: Path) -> tuple[Path, str]:
-        """Place in which the digest of a file is remembered, and a stamp by which the file is known to be the same."""
+        """Place in which a file's digest is remembered, and a stamp by which the file is known to be the same."""
         status = path.stat()
         memory = self.root / ".digests" / hashlib.sha256(os.fsencode(path)).hexdigest()[:32]
         return memory, f"{status.st_size} {status.st_mtime_ns} {status.st_ctime_ns} {status.st_ino}"

@@ -59,8 +59,8 @@ def discard(path: Path) -> None:
         path.rename(aside)
 
 
-def sweep(folder: Path) -> int:
-    """Clear the drafts of a folder that have no writer; returns how many.
+def sweep(folder: Path, *, dry: bool = False) -> int:
+    """Clear the drafts of a folder that have no writer; returns how many.  ``dry``: only count them.
 
     Nothing is raised for what cannot be looked at or removed: another sweep may be at it.
     """
@@ -69,15 +69,15 @@ def sweep(folder: Path) -> int:
         for path in _entries(folder)
         if path.name.startswith(PREFIX)
     }
-    return sum(_sweep(place) for place in places)
+    return sum(_sweep(place, dry) for place in places)
 
 
-def sweep_below(root: Path) -> int:
-    """Clear the drafts without a writer of a whole store, or of all products; returns how many."""
+def sweep_below(root: Path, *, dry: bool = False) -> int:
+    """Clear the drafts without a writer of a whole store, or of all products, as `sweep`; returns how many."""
     folders = [root, root / ".scratch"]
     for artwork in _folders(root):
         folders += [artwork, *_folders(artwork)]
-    return sum(map(sweep, folders))
+    return sum(sweep(folder, dry=dry) for folder in folders)
 
 
 def _folders(folder: Path) -> list[Path]:
@@ -146,19 +146,23 @@ def _is_open(path: Path, handle: int) -> bool:
         return False
 
 
-def _sweep(place: Path) -> bool:
+def _sweep(place: Path, dry: bool) -> bool:
     """Clear a draft if it has no writer."""
     lock = _lock_of(place)
     try:
         mark = os.open(lock, os.O_RDWR)
     except FileNotFoundError:  # its writer ends just now, or it is of an earlier version
-        return _is_old(place, lock) and _remove(place)
+        return _is_old(place, lock) and (dry or _remove(place))
     except OSError:
         return False
     try:
         if (not _lock(mark) or os.read(mark, len(UNLOCKED)) == UNLOCKED) and not _is_old(place, lock):
             return False
-        if not _is_open(lock, mark) or not _remove(place):
+        if not _is_open(lock, mark):
+            return False
+        if dry:
+            return True
+        if not _remove(place):
             return False
         lock.unlink(missing_ok=True)
     except OSError:  # BlockingIOError above all: its writer lives

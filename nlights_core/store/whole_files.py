@@ -91,24 +91,22 @@ def link_or_copy(source: Path, target: Path) -> None:
         copy(source, target)
 
 
-def share_or_link(source: Path, target: Path) -> bool:
-    """Let two files share their place on the disk: as a reflink, each of its own; else as one file of two names.
+def give_out(source: Path, target: Path, copied: bool = False) -> None:
+    """Give people a file of the store's, read-only: nobody should think that it may be changed.
 
-    Of a reflink, whoever writes into one file leaves the other as it is.  One file of two names gets read-only.
+    A reflink where the file system has such: a file of its own that takes no second place.  Else one file of two
+    names; else, or where ``copied`` asks for it, a copy.
 
-    Returns
-    -------
-    bool
-        Whether it could be done: where neither can be, nothing is there.
+    Raises
+    ------
+    OSError
+        Naming the target, for a full disk and the like.
     """
-    if _reflinked(source, target):
-        return True
-    try:
-        os.link(source, target)
-    except OSError:
-        return False
+    if copied:
+        copy(source, target)
+    elif not _reflinked(source, target):
+        link_or_copy(source, target)
     make_read_only(target)
-    return True
 
 
 def copy(source: Path, target: Path) -> None:
@@ -144,5 +142,4 @@ def _reflinked(source: Path, target: Path) -> bool:
     except (ImportError, OSError):
         target.unlink(missing_ok=True)
         return False
-    make_read_only(target)
     return True

@@ -17,6 +17,7 @@ from nlights_flows.commands import init as init_command
 from nlights_flows.commands import nightly as nightly_command
 from nlights_flows.commands import plugins as plugin_commands
 from nlights_flows.commands import tolerance as tolerance_command
+from nlights_flows.commands import upkeep as upkeep_commands
 from nlights_flows.commands.options import (
     Address,
     Artwork,
@@ -290,6 +291,7 @@ compare_command.register(app)
 nightly_command.register(app)
 plugin_commands.register(app)
 tolerance_command.register(app)
+upkeep_commands.register(app)
 doctor_command.register(app)
 
 

@@ -17,7 +17,7 @@ from nlights_core.capture_warnings import read_warnings
 from nlights_core.errors import NlightsError
 from nlights_core.names.artworks import require_own_folder
 from nlights_core.products.publishing import publish
-from nlights_core.store import RottenArtefactError
+from nlights_core.store import RottenArtefactError, sweep_below
 from nlights_flows.nights.checking import in_store, require_usable
 from nlights_flows.nights.claims import Claims
 from nlights_flows.nights.estimates import learn_estimate, require_disk
@@ -80,6 +80,8 @@ def run_night(order: Order, run_artwork: RunArtwork, at_once: int = 1) -> NightR
     require_inbox(order.inbox)
     with night.options.in_force():
         make_folders(night.options)
+        for root in (night.store.root, night.options.out):
+            sweep_below(root)  # what killed runs left where nobody has been since
         with Claims(night.store.root) as claims:
             return Night(night, run_artwork, claims, at_once).run()
 

@@ -1,4 +1,4 @@
-"""Drafts: a writer's mark dies with the writer; the living keep what they write, whatever their machines are called."""
+"""Drafts: a mark dies with its writer; the living keep what they write, whatever their machines are called."""
 
 import multiprocessing
 import os

@@ -16,7 +16,7 @@ from nlights_core.files.tiffs import write_tiff
 from nlights_core.frames import PixelGrid
 from nlights_core.store import RECORD, ArtefactRef, RottenArtefactError, Store, Work, describe
 from nlights_core.store.records import read_sealed, sealed
-from nlights_core.store.whole_files import link_or_copy, share_or_link
+from nlights_core.store.whole_files import give_out, link_or_copy
 
 
 @pytest.fixture
@@ -267,7 +267,7 @@ def test_a_second_name_of_a_file_needs_no_reading(store, tmp_path, monkeypatch):
 def test_what_shares_its_place_loses_its_write_bits_and_nothing_else(tmp_path, mode):
     (tmp_path / "a").write_text("a")
     (tmp_path / "a").chmod(mode)
-    assert share_or_link(tmp_path / "a", tmp_path / "b")
+    give_out(tmp_path / "a", tmp_path / "b")
     assert (tmp_path / "b").read_text() == "a"
     assert (tmp_path / "b").stat().st_mode & 0o777 == mode & 0o555
 
