@@ -304,4 +304,7 @@ def load_stand(what: str, base: Path | None = None) -> Stand:
     StandError
         Naming the file, the line, the field, what was found and what is allowed.
     """
-    return Source(find(what, "stands", StandError, base), StandError).check(Stand)
+    path = find(what, "stands", StandError, base)
+    stand = Source(path, StandError).check(Stand)
+    stand._file = path.absolute()
+    return stand

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, model_validator
 
 from nlights_core.frames import Array
 
@@ -83,6 +84,12 @@ class Stand(Record):
     lamp: Lamp
     uncertainty_mm: Positive = Field(description="standard uncertainty of a position, per axis, mm")
     optics: Optics = Optics()
+    _file: Path | None = PrivateAttr(default=None)
+
+    @property
+    def file(self) -> Path | None:
+        """File that it was read from; None where it was given otherwise."""
+        return self._file
 
     @property
     def camera_position(self) -> Array:

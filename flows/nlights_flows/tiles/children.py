@@ -34,6 +34,14 @@ ASKED: signal.Signals | None = getattr(signal, "SIGUSR1", None)
 KILLED = -9
 """Exit code of a child that the system killed (SIGKILL)."""
 
+SECRET = re.compile(
+    r"PASSWORD|PASSWD|PASSPHRASE|SECRET|TOKEN|CREDENTIAL|APIKEY|^PREFECT|DATABASE_URL|CONNECTION_(URL|STRING)"
+    r"|(^|_)(KEYS?|PASS|AUTH|DSN|COOKIE|SESSION|PAT)(_|$)|_PWD$|^PG(PASS|SERVICE)"
+)
+"""Names of variables that no child is told."""
+
+PASSWORD_IN_ADDRESS = re.compile(r"://[^/@\s]*:[^/@\s]*@")
+
 FRAME = re.compile(r'File "(?P<file>.*)", line (?P<line>\d+) in (?P<function>\S+)')
 
 
@@ -123,7 +131,7 @@ def child(
     timeout : float, optional
         Seconds after which it is stopped once `Child.start_clock` was called.
     environment : mapping, optional
-        Variables that it gets beside this process's own.
+        Variables that it gets beside this process's own, of which it gets no secrets (`without_secrets`).
     """
     trace = scratch / "trace.txt"
     process = subprocess.Popen(
@@ -132,7 +140,7 @@ def child(
         stdout=subprocess.PIPE,
         text=True,
         encoding="utf-8",
-        env={**os.environ, **(environment or {})},
+        env={**without_secrets(os.environ), **(environment or {})},
         start_new_session=True,  # so that what it starts is stopped along with it
     )
     started = Child(process, trace, timeout)
@@ -145,6 +153,23 @@ def child(
     finally:
         started.stop_clock()
         _finish(process)
+
+
+def without_secrets(variables: Mapping[str, str]) -> dict[str, str]:
+    """Variables of the environment, but for those that hold a secret, or lead to where one is, by their names.
+
+    Nothing in a child needs any: it opens no connection.  Prefect's own are left out whatever they hold.
+
+    Examples
+    --------
+    >>> without_secrets({"PATH": "/bin", "DB_PASSWORD": "x", "PREFECT_API_URL": "x", "A": "http://me:pw@host/"})
+    {'PATH': '/bin'}
+    """
+    return {
+        name: value
+        for name, value in variables.items()
+        if not SECRET.search(name.upper()) and not PASSWORD_IN_ADDRESS.search(value)
+    }
 
 
 def _finish(process: subprocess.Popen[str]) -> None:

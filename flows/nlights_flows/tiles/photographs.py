@@ -1,4 +1,4 @@
-"""Check that a tile's photographs stay the same while it runs: an upload may replace one at any time."""
+"""Check that what a tile is made of stays the same while it runs: an upload may replace a file at any time."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from nlights_core.recipe import Recipe
 from nlights_core.stages.inputs import FLATS
 from nlights_core.store import Store
 
-Stamp = tuple[int, int, int]
-"""Size, time of change in ns, inode."""
+Stamp = tuple[int, int, int, int]
+"""Size, times of writing and of change in ns, inode: a tool that sets the first back cannot set back the second."""
 
 THREADS = 4
 """That find digests, at most: they soon take all that the memory gives."""
@@ -50,7 +50,7 @@ class Photographs:
     @classmethod
     @contextmanager
     def watched(cls, tile: Tile, recipe: Recipe, store: Store) -> Iterator[Photographs]:
-        """Look at the photographs that a recipe reads, for as long as it runs.
+        """Look at the photographs that a recipe reads, and at the files beside them, for as long as it runs.
 
         A tile of which a photograph is not what it was has failed, whatever else became of it: what seems
         damaged may only be half-way here.
@@ -64,13 +64,7 @@ class Photographs:
         TileError
             Naming the photographs that changed; the artefacts that were made meanwhile are gone from the store.
         """
-        paths = [
-            *((tile.flats or {}).values() if recipe.needs("flats") else ()),
-            *(path for path in (tile.dark, tile.mask) if path),
-        ]
-        paths += tile.frames.values()
-
-        with _stamped(paths, store) as stamps:
+        with _stamped(list(_files(tile, recipe)), store) as stamps:
             seen = cls(store, tile, stamps, frozenset(_artefacts(store, tile)))
             try:
                 yield seen
@@ -93,7 +87,7 @@ class Photographs:
         names = ", ".join(path.name for path in changed[:3])
         more = f" and {len(changed) - 3} more" if len(changed) > 3 else ""
         return TileError(
-            f"{changed[0].parent}: its photographs were changed while it ran ({names}{more}); nothing was made of "
+            f"{changed[0].parent}: its files were changed while it ran ({names}{more}); nothing was made of "
             "them; run again when the upload is complete"
         )
 
@@ -102,6 +96,22 @@ class Photographs:
             return _stamp(path) == stamp or self.store.digest(path) == digest.result()
         except (OSError, TileError):
             return False
+
+
+def _files(tile: Tile, recipe: Recipe) -> Iterator[Path]:
+    """Files that the stages read of a tile, in their order."""
+    given: list[Path | None] = [tile.stand.file if tile.stand else None]
+    for sphere in tile.spheres:
+        given += [*sphere.frames.values(), sphere.mask, sphere.outline]
+    if tile.lights:
+        given += [tile.lights.directions, tile.lights.intensities]
+    if recipe.needs("flats"):
+        given += (tile.flats or {}).values()
+        given += (path for turned in tile.turned_flats for path in turned.flats.values())
+    given += [tile.dark, tile.mask, *tile.frames.values()]
+    if tile.known_heights:
+        given.append(tile.known_heights.file)
+    yield from dict.fromkeys(path for path in given if path)
 
 
 @contextmanager
@@ -130,7 +140,7 @@ def _stamped(paths: list[Path], store: Store) -> Iterator[dict[Path, tuple[Stamp
 
 def _stamp(path: Path) -> Stamp:
     status = path.stat()
-    return status.st_size, status.st_mtime_ns, status.st_ino
+    return status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino
 
 
 def _artefacts(store: Store, tile: Tile) -> set[Path]:

@@ -175,18 +175,20 @@ def _looked_at(folder: Path, look: Callable[[Path], dict[str, str]]) -> dict[str
     """Faults of a folder, looked at again where it was replaced meanwhile; None where it is gone."""
     faults: dict[str, str] | None = None
     for _ in range(AGAIN):
-        before = _inode(folder)
+        before = _stamp(folder)
         faults = look(folder) if before else None
-        if not faults or _inode(folder) == before:
+        if not faults or _stamp(folder) == before:
             break
     return faults
 
 
-def _inode(folder: Path) -> int | None:
+def _stamp(folder: Path) -> tuple[int, int] | None:
+    """Inode and time of change of a folder; None where there is none."""
     try:
-        return folder.lstat().st_ino
+        status = folder.lstat()
     except OSError:
         return None
+    return status.st_ino, status.st_ctime_ns
 
 
 def faults_of_artefact(folder: Path) -> dict[str, str]:

@@ -70,6 +70,14 @@ class Scribbles(Rascal):
         return height
 
 
+class Peeks(Rascal):
+    name = "peeks"
+
+    def spoil(self, normals, height):
+        Path("environment.txt").write_text("\n".join(f"{name}={value}" for name, value in os.environ.items()))
+        return height
+
+
 class Microns(Rascal):
     name = "microns"
 
@@ -79,4 +87,4 @@ class Microns(Rascal):
 
 @hookimpl
 def nlights_algorithms():
-    return [Hangs, Crashes, Leaves, Hoards, Raises, Scribbles, Microns]
+    return [Hangs, Crashes, Leaves, Hoards, Raises, Scribbles, Peeks, Microns]

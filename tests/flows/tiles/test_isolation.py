@@ -195,3 +195,25 @@ def test_a_child_does_not_outlive_its_parent(rascals, plane, store, tmp_path):
         parent.wait()
         if child:
             os.kill(child, signal.SIGKILL)
+
+
+SECRETS = {
+    "PREFECT_API_AUTH_STRING": "operator:hush",
+    "PREFECT_SERVER_DATABASE_CONNECTION_URL": "postgresql+asyncpg://nlights:hush@127.0.0.1/nlights",
+    "DATABASE_URL": "hush",
+    "AWS_SECRET_ACCESS_KEY": "hush",
+    "GITHUB_TOKEN": "hush",
+    "MYSQL_PWD": "hush",
+    "NOTIFY": "https://me:hush@example.org/hook",
+    "smtp_password": "hush",
+}
+
+
+def test_a_plugin_is_told_no_secrets_of_the_process_that_runs_it(store, plane, rascals, tmp_path):
+    environment = rascals | SECRETS | {"PREFECT_API_URL": "", "HOUSE": "open", "KEYBOARD": "qwertz"}
+    done = run(tmp_path, environment, plane, "peeks")
+    assert done.returncode == 0, done.stderr
+    seen = (tmp_path / "environment.txt").read_text()
+    assert "hush" not in seen
+    assert "PREFECT" not in seen
+    assert {"HOUSE=open", "KEYBOARD=qwertz", f"PATH={environment['PATH']}"} <= set(seen.splitlines())
