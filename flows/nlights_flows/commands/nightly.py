@@ -12,6 +12,7 @@ from nlights_flows.commands.options import (
     Address,
     Compression,
     CompressionOption,
+    Copy,
     Memory,
     Prefect,
     RecipeOption,
@@ -53,6 +54,7 @@ def nightly(
         ),
     ] = 300.0,
     compression: CompressionOption = Compression.NONE,
+    copy: Copy = False,
     timeout: Timeout = None,
     memory: Memory = None,
     plan: Annotated[

@@ -57,6 +57,13 @@ CompressionOption = Annotated[
     Compression,
     typer.Option("--compression", help="Of the TIFFs: zstd takes less space and more time than the physics."),
 ]
+Copy = Annotated[
+    bool,
+    typer.Option(
+        "--copy",
+        help="Copy the products out of the store: they take a second place, and are files of their own.",
+    ),
+]
 Memory = Annotated[
     str | None,
     typer.Option(

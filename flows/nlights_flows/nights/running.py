@@ -222,7 +222,7 @@ class Night:
             return False
         started = time.monotonic()
         try:
-            published = publish(store, tile, refs, order.options.out)
+            published = publish(store, tile, refs, order.options.out, copied=order.options.copy)
         except (OSError, RottenArtefactError):  # artefacts are gone: running the tile makes them again
             return False
         took = time.monotonic() - started

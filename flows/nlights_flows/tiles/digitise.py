@@ -107,6 +107,7 @@ def digitise(
     root: str | None = None,
     tiles: list[str] | None = None,
     compression: str = "none",
+    copy: bool = False,
     memory: str | None = None,
     timeout: float | None = None,
     runner: str = "here",
@@ -132,6 +133,8 @@ def digitise(
         Only these tiles.
     compression : str
         Of the TIFFs among the products, "none" or "zstd".
+    copy : bool
+        Copy the products out of the store, instead of sharing their place on the disk.
     memory : str, optional
         Memory that a tile may take, as 6GiB.
     timeout : float, optional

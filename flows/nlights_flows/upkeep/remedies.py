@@ -96,7 +96,7 @@ class Remedies:
 
 
 def _recipe(said: dict[str, Any] | None) -> tuple[str, str]:
-    """What a command says of a recipe, and an explanation where the recipe is no shipped one."""
+    """Words for a recipe in a command, and an explanation where the recipe is no shipped one."""
     if said is None:
         return "RECIPE", "RECIPE: the one that the tile was made with"
     name = said["name"]
