@@ -13,11 +13,12 @@ from nlights_core.errors import NlightsError, StandError
 from nlights_core.machine.regular_files import irregular_kind
 from nlights_core.names.photographs import did_you_mean
 from nlights_core.stands import Stand
+from nlights_core.yaml_documents import Document
 
 Model = TypeVar("Model", bound=BaseModel)
 
-LARGEST = 1 << 20
-"""No file written by a person is larger than this many bytes."""
+LARGEST = 1 << 19
+"""No file written by a person is larger than this many bytes; Python takes a second to read so many."""
 
 
 def shipped(kind: str) -> Path:
@@ -54,86 +55,31 @@ def find(what: str, kind: str, error: type[NlightsError], base: Path | None = No
             f"{', '.join(shipped_names(kind))}; for one of your own give a path that ends in .yaml"
         )
     path = (base or Path()) / what
-    if not path.is_file():
+    try:
+        there = path.is_file()
+    except OSError as fault:
+        raise error(
+            f"{path}: cannot be read ({fault.strerror}); check the path and its permissions"
+        ) from None
+    if not there:
         raise error(f"{path}: there is no such file; give a path or one of {', '.join(shipped_names(kind))}")
     return path
 
 
-_NO_TEXT = frozenset(
-    f"tag:yaml.org,2002:{kind}" for kind in ("bool", "float", "int", "merge", "null", "timestamp", "value")
-)
-"""What YAML takes some words for, such as ``no``, ``0012`` and ``2024-05-01``, unless they are in quotes."""
+MOST_FAULTS = 50
+"""Of a file, that are told; whoever has mended these sees the others."""
 
 
-class _Loader(yaml.SafeLoader):
-    """Safe YAML without aliases (they can explode) and without doubled keys."""
+def list_faults(faults: Sequence[str]) -> str:
+    """Faults of a file as one message, a line each; of very many the first.
 
-    def construct_undefined(self, node: Any) -> Any:
-        raise yaml.MarkedYAMLError(problem=f"the tag {node.tag} is not allowed", problem_mark=node.start_mark)
-
-    def compose_node(self, parent: Any, index: Any) -> Any:
-        if self.check_event(yaml.AliasEvent):
-            mark = self.peek_event().start_mark  # type: ignore[no-untyped-call]
-            raise yaml.MarkedYAMLError(
-                problem="anchors and aliases are not allowed; write it out", problem_mark=mark
-            )
-        return super().compose_node(parent, index)
-
-    def construct_mapping(self, node: Any, deep: bool = False) -> Any:
-        seen = set()
-        for key, _ in node.value:  # a lamp may be called 1, or no
-            if not isinstance(key, yaml.ScalarNode):
-                raise yaml.MarkedYAMLError(
-                    problem="a field's name should be plain text", problem_mark=key.start_mark
-                )
-            if key.value in seen:
-                raise yaml.MarkedYAMLError(
-                    problem=f"the key '{key.value}' stands twice", problem_mark=key.start_mark
-                )
-            seen.add(key.value)
-            if key.tag in _NO_TEXT:
-                key.tag = "tag:yaml.org,2002:str"
-        return super().construct_mapping(node, deep)
-
-
-_Loader.add_constructor(None, _Loader.construct_undefined)
-
-
-def _take_as_text(node: Any, location: tuple[str | None, ...], written: str) -> None:
-    """Take plain values for the text that was written.
-
-    Raises
-    ------
-    MarkedYAMLError
-        Where a ``#`` with no space behind it ends the text: YAML would leave the rest out.
+    Examples
+    --------
+    >>> list_faults(["a: is missing", "b: is missing"]).splitlines(), list_faults(["a"] * 60).splitlines()[-1]
+    (['a: is missing', 'b: is missing'], 'and 10 more; mend these first')
     """
-    if not location:
-        if isinstance(node, yaml.ScalarNode) and node.style is None and node.value and node.tag in _NO_TEXT:
-            node.tag = "tag:yaml.org,2002:str"
-        if isinstance(node, yaml.ScalarNode) and node.style is None:
-            rest = written[node.end_mark.index :].split("\n")[0].lstrip()
-            if rest.startswith("#") and rest[1:2].strip(" \t#-=") and node.value:
-                raise yaml.MarkedYAMLError(
-                    problem=f"'{rest.strip()}' is a comment to YAML, not a part of the text before it; put the text "
-                    f"in quotes ('{node.value} {rest.strip()}'), or write a space behind #",
-                    problem_mark=node.start_mark,
-                )
-    elif location[0] is None and isinstance(node, yaml.SequenceNode):
-        for entry in node.value:
-            _take_as_text(entry, location[1:], written)
-    elif isinstance(node, yaml.MappingNode):
-        for key, value in node.value:
-            if key.value == location[0]:
-                _take_as_text(value, location[1:], written)
-
-
-def _constructed(text: str, node: Any) -> Any:
-    """Plain values of a composed document."""
-    loader = _Loader(text)
-    try:
-        return None if node is None else loader.construct_document(node)
-    finally:
-        loader.dispose()
+    more = len(faults) - MOST_FAULTS
+    return "\n".join([*faults[:MOST_FAULTS], *([f"and {more} more; mend these first"] if more > 0 else [])])
 
 
 class Source:
@@ -158,12 +104,8 @@ class Source:
             if kind := irregular_kind(path):
                 raise error(f"{path}: {kind}, where a file is expected; name the file itself")
             if path.stat().st_size > LARGEST:
-                raise error(f"{path}: larger than {LARGEST >> 20} MiB, which no file of this kind is")
-            text = path.read_text(encoding="utf-8")
-            self._node = yaml.compose(text, _Loader)
-            for location in texts:
-                _take_as_text(self._node, location, text)
-            self.data: Any = _constructed(text, self._node)
+                raise error(f"{path}: larger than {LARGEST >> 10} KiB, which no file of this kind is")
+            self._document = Document(path.read_text(encoding="utf-8"), texts)
         except OSError as fault:
             raise error(
                 f"{path}: cannot be read ({fault.strerror}); check the path and its permissions{did_you_mean(path)}"
@@ -176,39 +118,26 @@ class Source:
             raise error(
                 f"{path}:{line}: not valid YAML here: {fault.problem or fault.context}{hint}"
             ) from fault
-        except (yaml.YAMLError, RecursionError, ValueError) as fault:
-            raise error(f"{path}: not valid YAML: {str(fault).splitlines()[0]}") from fault
+        except NlightsError:
+            raise
+        except Exception as fault:  # what a parser can stumble over is not to be listed
+            said = str(fault).partition("\n")[0] or type(fault).__name__
+            raise error(f"{path}: not valid YAML: {said}") from fault
+        self.data: Any = self._document.data
         if not isinstance(self.data, dict):
             raise error(f"{path}:1: should be a mapping of fields to values; got {_named(self.data)}")
-
-    def line(self, location: tuple[Any, ...]) -> int:
-        """Line of a field, or of the nearest enclosing one that exists; counted from 1."""
-        node, line = self._node, 1
-        for step in location:
-            found = None
-            if isinstance(node, yaml.MappingNode):
-                for key, value in node.value:
-                    if key.value == str(step):
-                        found, line = value, key.start_mark.line + 1
-            elif isinstance(node, yaml.SequenceNode) and isinstance(step, int) and step < len(node.value):
-                found = node.value[step]
-                line = found.start_mark.line + 1
-            if found is None:
-                break
-            node = found
-        return line
 
     def fault(self, location: tuple[Any, ...], sentence: str) -> str:
         """One sentence about a field: ``file:line: field: sentence``."""
         field = ".".join(str(part) for part in location)
-        return f"{self.path}:{self.line(location)}: {field + ': ' if field else ''}{sentence}"
+        return f"{self.path}:{self._document.line(location)}: {field + ': ' if field else ''}{sentence}"
 
     def check(self, model: type[Model]) -> Model:
         """Validate the whole file into a model, telling every fault at once."""
         try:
             return model.model_validate(self.data)
         except ValidationError as faults:
-            raise self.error("\n".join(self.sentences(faults, model))) from None
+            raise self.error(list_faults(list(self.sentences(faults, model)))) from None
 
     def sentences(self, faults: ValidationError, model: type[BaseModel] | None = None) -> Iterator[str]:
         """Every fault that pydantic found, in our words, one for each field."""

@@ -11,10 +11,11 @@ from pydantic import AfterValidator, Discriminator, Field, Tag
 
 from nlights_core.capture import Encoding, GivenLights, HeightFile, Sensor, Sphere, Tile, TurnedFlats
 from nlights_core.capture_warnings import CaptureWarning
-from nlights_core.configurations import Source, load_stand
+from nlights_core.configurations import MOST_FAULTS, Source, list_faults, load_stand
 from nlights_core.errors import CaptureError, StandError
-from nlights_core.names.artworks import LONGEST_NAME, fault_of
+from nlights_core.names.artworks import LONGEST_NAME, fault_of, is_reserved
 from nlights_core.names.capture_paths import CapturePaths, Frames, Location
+from nlights_core.names.odd_names import refusal, shown
 from nlights_core.names.photographs import Folders, composed
 from nlights_core.stands import Positive, Record, Stand
 
@@ -142,12 +143,23 @@ def load_capture(path: str | Path, *, stand: str | None = None, root: str | Path
     path = Path(path)
     path = path / "artwork.yaml" if path.is_dir() else path
     source, manifest = read_manifest(path)
-    folder = path.parent.resolve()
+    return tiles_of(source, manifest, stand=stand, root=root)
+
+
+def tiles_of(
+    source: Source, manifest: Manifest, *, stand: str | None = None, root: str | Path | None = None
+) -> list[Tile]:
+    """Find the tiles of a manifest that was read; see `load_capture`."""
+    folder = source.path.parent.resolve()
     measured = _stand(manifest, stand, folder, source)
     reader = _Reader(source, manifest, measured, folder, Path(root or folder).resolve())
-    tiles = [reader.tile(i, entry) for i, entry in enumerate(manifest.tiles)]
+    tiles = []
+    for i, entry in enumerate(manifest.tiles):
+        tiles.append(reader.tile(i, entry))
+        if len(reader.faults) > MOST_FAULTS:  # more need not be looked for
+            break
     if reader.faults:
-        raise CaptureError("\n".join(dict.fromkeys(reader.faults)))
+        raise CaptureError(list_faults(list(dict.fromkeys(reader.faults))))
     return [tile for tile in tiles if tile is not None]
 
 
@@ -161,6 +173,8 @@ def _stand(manifest: Manifest, given: str | None, folder: Path, source: Source) 
             return load_stand(manifest.stand)
         except StandError as fault:
             raise CaptureError(source.fault(("stand",), str(fault))) from None
+    if why := refusal(folder / manifest.stand):
+        raise CaptureError(source.fault(("stand",), f"{manifest.stand} {why}"))
     if not (folder / manifest.stand).resolve().is_relative_to(folder):
         raise CaptureError(
             source.fault(("stand",), f"{manifest.stand} is outside the capture; give it with --stand")
@@ -179,6 +193,9 @@ class _Reader:
             folder, root, stand.name if stand else "", list(stand.lamps) if stand else [], source.fault
         )
         self._names: set[str] = set()
+        named = Path(root.name, folder.relative_to(root)) if folder.is_relative_to(root) else folder.name
+        if shown(named) != str(named):
+            self.paths.tell((), f"the folder's name, {shown(named)}, is not UTF-8; rename it")
         if fault := fault_of(manifest.artwork.id):
             self.paths.tell(("artwork", "id"), fault)
 
@@ -321,6 +338,8 @@ class _Reader:
             self.paths.tell(
                 at, f"is {len(name.encode())} bytes long and names a folder; {LONGEST_NAME} are allowed"
             )
+        if is_reserved(name):
+            self.paths.tell(at, f"'{name}' is the name of a folder of nLights' own; give the tile another")
         if not PLAIN_NAME.fullmatch(name):
             self.paths.tell(
                 at,

@@ -19,7 +19,7 @@ from nlights_core.algorithms import (
     NormalSolver,
 )
 from nlights_core.capture import Tile
-from nlights_core.configurations import GivenSource, Source, explain, find
+from nlights_core.configurations import GivenSource, Source, explain, find, list_faults
 from nlights_core.errors import PluginError, RecipeError
 from nlights_core.registry import Registry, installed
 from nlights_core.stands import Record
@@ -235,7 +235,7 @@ def choose(slot: str, name: str, options: Mapping[str, Any], whose: str) -> Algo
     reader = _Reader(GivenSource(whose, {}, RecipeError), installed())
     chosen = reader.algorithm(tuple(slot.split(".")), {**options, "use": name})
     if chosen is None:
-        raise RecipeError("\n".join(reader.faults))
+        raise RecipeError(list_faults(reader.faults))
     return chosen
 
 
@@ -268,7 +268,7 @@ class _Reader:
                 return Recipe(name=name, detrend=Detrends(**removed), **chosen, **plain)
             except ValidationError as faults:
                 self.faults += self.source.sentences(faults, Recipe)
-        raise RecipeError("\n".join(self.faults))
+        raise RecipeError(list_faults(self.faults))
 
     def _own_name(self, data: Mapping[str, Any], name: str) -> str:
         """Name that the recipe gives itself, as in a tile's provenance; else the given one."""

@@ -15,6 +15,15 @@ LONGEST_NAME = 120
 PLAIN = re.compile(r"[\w .,()+-]")
 """A letter that a folder's name keeps as it is."""
 
+RESERVED = frozenset(
+    (
+        *("nights", "night.json", "night.html", "flat-checks", "compare.json", "compare.html"),
+        *("mosaic", ".former", ".store", ".scratch", ".claims", ".digests", ".thumbnails"),
+    )
+)
+"""Names, in lower case, that nLights gives to folders and files of its own, in the products or in the store: no
+artwork and no tile may have one."""
+
 _OF_WINDOWS = re.compile(
     r"(con|prn|aux|nul|com[0-9¹²³]|lpt[0-9¹²³]|conin\$|conout\$) *(\..*)?", re.IGNORECASE
 )
@@ -49,10 +58,23 @@ def folder_of(artwork: str) -> str:
     )
 
 
+def is_reserved(name: str) -> bool:
+    """Test whether a name is that of a folder or file of nLights' own.
+
+    Examples
+    --------
+    >>> is_reserved("Nights"), is_reserved("nights 2")
+    (True, False)
+    """
+    return composed(name).strip().casefold() in RESERVED
+
+
 def fault_of(artwork: str) -> str | None:
     """Fault of an inventory number, as the rest of a sentence; None where it has none."""
     if not artwork.strip():
         return "is empty; write the inventory number"
+    if is_reserved(artwork):
+        return f"'{artwork}' is the name of a folder or file of nLights' own; write another, such as 'inv. {artwork}'"
     bad = next((letter for letter in artwork if unicodedata.category(letter) in ("Cc", "Cs", "Zl", "Zp")), "")
     if bad:
         return f"holds U+{ord(bad):04X}, which is no letter but a control character; remove it"

@@ -7,6 +7,8 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from nlights_core.errors import CaptureError
+from nlights_core.names.odd_names import refusal, shown
 from nlights_core.names.photographs import Folders, Found, composed, gaps, is_hidden, number_of
 
 Frames = dict[str, str] | list[str] | str
@@ -14,6 +16,9 @@ Frames = dict[str, str] | list[str] | str
 
 Location = tuple[str | int, ...]
 """Where in the manifest a field stands."""
+
+MOST_FILES = 20_000
+"""That the tiles of an artwork have in all: a thousand tiles with eight frames and eight flats have fewer."""
 
 _HOLE = re.compile(r"\{([^{}]*)\}")
 
@@ -58,9 +63,12 @@ class CapturePaths:
         fault: Callable[[Location, str], str],
     ) -> None:
         self.folder, self.root, self.stand, self.lamps = folder, root, stand, list(lamps)
+        self._spelt = {composed(lamp): lamp for lamp in reversed(lamps)}
         self._fault = fault
         self._folders = Folders()
-        self._outside: set[Location] = set()
+        self._refused: set[Location] = set()
+        self._asked = 0
+        self._real_folders: dict[Path, Path] = {}
         self.faults: list[str] = []
         self.notes: list[Note] = []
 
@@ -88,10 +96,10 @@ class CapturePaths:
                 for lamp, text in given.items()
             }
         for lamp in found if self.stand else ():
-            if lamp not in self.lamps:
+            if composed(lamp) not in self._spelt:
                 self.tell(
                     (*at, lamp) if isinstance(given, dict) else at,
-                    f"the stand '{self.stand}' has no lamp '{lamp}'; it has {', '.join(self.lamps)}",
+                    f"the stand '{self.stand}' has no lamp '{lamp}'; it has {_few(self.lamps, 24)}",
                 )
         if found and len(found) < 3:
             self.tell(at, f"photometric stereo needs at least 3 lamps; found {len(found)}")
@@ -138,7 +146,7 @@ class CapturePaths:
 
     def _lamp(self, name: str) -> str:
         """Name of a lamp as the stand writes it."""
-        return next((lamp for lamp in self.lamps if composed(lamp) == composed(name)), composed(name))
+        return self._spelt.get(composed(name), composed(name))
 
     def _list(self, at: Location, given: list[str], tile: str) -> dict[str, Found]:
         names = self.lamps if self.stand else [str(i + 1) for i in range(len(given))]
@@ -169,13 +177,15 @@ class CapturePaths:
     def _existing(self, at: Location, pattern: str, but: Collection[Path]) -> dict[str, Found]:
         """Files that fit a pattern, in the order of their numbers (or names)."""
         self._find(at, _HOLE.sub("x", pattern))
-        if at in self._outside:
+        if at in self._refused:
             return {}
         fits = self._folders.fitting(self.folder, pattern)
         fits = [one for one in fits if self._resolved(at, one.path) not in but]
         by_lamp: dict[str | int, list[Found]] = {}
         for one in fits:
             by_lamp.setdefault(number_of(one.lamp), []).append(one)
+        for name in (one.path.name for one in fits if shown(one.path.name) != one.path.name):
+            self.tell(at, f"the name {shown(name)} is not UTF-8; rename the photograph")
         for several in by_lamp.values():
             if len(several) > 1:
                 names = " and ".join(one.path.name for one in several[:2])
@@ -189,21 +199,32 @@ class CapturePaths:
             for several in by_lamp.values()
         }
         if at[0] != "chrome_spheres" and at[-1] == "frames" and (missing := gaps(found)):
-            few = ", ".join(missing[:5]) + (f" and {len(missing) - 5} more" if len(missing) > 5 else "")
             self.notes.append(
                 Note(
                     "numbering",
                     f"the {len(found)} photographs that fit '{pattern}' are not numbered throughout: there is "
-                    f"none of {few}; see whether a lamp is missing",
+                    f"none of {_few(missing)}; see whether a lamp is missing",
                     (),
                 )
             )
         return found
 
     def _find(self, at: Location, text: str, photograph: bool = True) -> Found:
-        """Find a file; whatever name it was given, it is inside the root."""
+        """Find a file; whatever name it was given, it is inside the root.
+
+        Raises
+        ------
+        CaptureError
+            When the manifest names more files than any artwork has.
+        """
+        self._asked += 1
+        if self._asked > MOST_FILES:
+            sentence = (
+                f"the tiles have more than {MOST_FILES} files in all; divide them into several artworks"
+            )
+            raise CaptureError(self._fault(at, sentence))
         path = self._resolved(at, self.folder / text, text)
-        if at in self._outside:
+        if at in self._refused:
             return Found(path)
         hidden = [part for part in Path(text).parts if is_hidden(part)]
         if photograph and hidden:
@@ -216,23 +237,33 @@ class CapturePaths:
         return Found(self._resolved(at, found.path, text), found.near)
 
     def _resolved(self, at: Location, path: Path, text: str | None = None) -> Path:
-        try:
-            path = path.resolve()
-        except (OSError, ValueError, RuntimeError):  # a NUL, a loop of links
-            path = Path("/")
-        if not path.is_relative_to(self.root) and at not in self._outside:
-            self._outside.add(at)
+        if why := refusal(path):
+            if at not in self._refused:
+                self._refused.add(at)
+                self.tell(at, f"'{_short(text or path.name)}' {why}")
+            return path
+        path = self._real(path)
+        if not path.is_relative_to(self.root) and at not in self._refused:
+            self._refused.add(at)
             self.tell(
                 at,
                 f"'{text or path.name}' is outside the capture root {self.root}; move it in or widen it by --root",
             )
         return path
 
+    def _real(self, path: Path) -> Path:
+        """A path without links; each folder is asked once."""
+        if path.name in ("", "..") or path.is_symlink():
+            return path.resolve()
+        if path.parent not in self._real_folders:
+            self._real_folders[path.parent] = path.parent.resolve()
+        return self._real_folders[path.parent] / path.name
+
     def _see_that_each_has_its_own(self, at: Location, found: dict[str, Found]) -> None:
         """Tell of a photograph that stands under two lamps."""
         owners: dict[Path, str] = {}
         for lamp, one in found.items():
-            if one.path in owners and at not in self._outside:
+            if one.path in owners and at not in self._refused:
                 self.tell(
                     at,
                     f"{one.path.name} stands under {owners[one.path]} and {lamp}; name the one that was taken under "
@@ -243,12 +274,19 @@ class CapturePaths:
     def _note_near(self, at: Location, found: dict[str, Found]) -> None:
         near = {lamp: one.path.name for lamp, one in found.items() if one.near}
         if near:
-            few = ", ".join(list(near.values())[:5]) + (f" and {len(near) - 5} more" if len(near) > 5 else "")
             self.notes.append(
                 Note(
                     "near-name",
-                    f"{at[-1]}: {few}: differs from the name in the manifest by capitals or by the spelling of the "
-                    "extension, and is taken for it; write it as it is",
+                    f"{at[-1]}: {_few(list(near.values()))}: differs from the name in the manifest by capitals or by "
+                    "the spelling of the extension, and is taken for it; write it as it is",
                     tuple(lamp for lamp in near if lamp),
                 )
             )
+
+
+def _few(names: Sequence[str], most: int = 5) -> str:
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= 120 else f"{text[:117]}..."

@@ -158,7 +158,7 @@ def write_report(
         height_unit=views.height_unit,
         size_of=_bytes,
     )
-    Path(path).write_text(page, encoding="utf-8", newline="\n")
+    Path(path).write_text(page, encoding="utf-8", errors="backslashreplace", newline="\n")
 
 
 def _shown(number: Number, views: Views) -> tuple[str, str]:

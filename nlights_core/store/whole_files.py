@@ -19,12 +19,13 @@ WRITE = stat.S_IWUSR | stat.S_IWGRP | stat.S_IWOTH
 def write_whole(path: Path, text: str, *, flushed: bool = True) -> None:
     """Write a small text file so that it appears whole or not at all.
 
+    Bytes of a file's name that are no UTF-8 become backslash escapes, which JSON reads back as what they were.
     ``flushed`` as false: without waiting for the disk, for what may be lost when the power fails.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     draft = path.parent / f".{path.name[:40]}-{uuid.uuid4().hex[:8]}"
     try:
-        draft.write_text(text, encoding="utf-8")
+        draft.write_text(text, encoding="utf-8", errors="backslashreplace")
         if flushed:
             flush(draft)
         draft.replace(path)

@@ -59,7 +59,7 @@ def write_page(path: Path, comparison: Comparison) -> None:
         script=Markup(script),
         digest=digest,
     )
-    path.write_text(page, encoding="utf-8", newline="\n")
+    path.write_text(page, encoding="utf-8", errors="backslashreplace", newline="\n")
 
 
 def _pictures(comparison: Comparison) -> list[TilePictures]:

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 from pydantic import Field, model_validator
 
-from nlights_core.configurations import Source, shipped
+from nlights_core.configurations import Source, list_faults, shipped
 from nlights_core.errors import CaptureError
 from nlights_core.frames import PixelGrid
 from nlights_core.report import quality
@@ -156,5 +156,5 @@ def load_limits(what: str = "default") -> Limits:
         if limit.name in names[:i]:
             faults.append(source.fault(("limits", i, "name"), f"'{limit.name}' stands twice; remove one"))
     if faults:
-        raise CaptureError("\n".join(faults))
+        raise CaptureError(list_faults(faults))
     return table
