@@ -6,12 +6,15 @@ import os
 import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
+from datetime import datetime
 from pathlib import Path
 
 from nlights_core.capture import Tile
+from nlights_core.configurations import Source
 from nlights_core.errors import CaptureError, NlightsError
-from nlights_core.manifest import load_capture, read_manifest
+from nlights_core.manifest import Manifest, read_manifest, tiles_of
 from nlights_core.names.artworks import folder_of
+from nlights_core.names.odd_names import refusal
 from nlights_core.names.photographs import is_hidden
 from nlights_core.photographs.decoders import EXTENSIONS
 
@@ -78,7 +81,7 @@ class Inbox:
 
 
 def scan(inbox: Path, settle: float, ignored: Iterable[Path] = ()) -> Inbox:
-    """Look through an inbox, two levels deep.
+    """Look through an inbox, two levels deep; whatever an upload is, it costs itself alone.
 
     Parameters
     ----------
@@ -102,10 +105,10 @@ def scan(inbox: Path, settle: float, ignored: Iterable[Path] = ()) -> Inbox:
     root = require_inbox(inbox)
     found, bare = Inbox(), []
     skipped = {path.resolve() for path in ignored}
-    for folder in _folders(root, root, found, skipped):
-        if (folder / MANIFEST).exists():
+    for folder, names in _folders(root, root, found, skipped):
+        if MANIFEST in names:
             _add(folder, root, settle, found)
-        elif _has_photographs(folder):
+        elif any(Path(name).suffix.lower() in EXTENSIONS for name in names):
             bare.append(folder)
     _tell_bare(bare, root, found)
     found.ready.sort(key=lambda one: (-one.priority, one.uploaded, one.artwork))
@@ -130,68 +133,107 @@ def require_inbox(inbox: Path) -> Path:
         raise CaptureError(
             f"{inbox}: there is no such folder; give the folder into which captures are uploaded"
         )
-    if (root / MANIFEST).exists():
+    if os.path.lexists(root / MANIFEST):
         raise CaptureError(
             f"{inbox}: is an artwork itself (it holds {MANIFEST}); give the folder above it, or use nlights digitise"
         )
     return root
 
 
-def _folders(folder: Path, root: Path, found: Inbox, skipped: set[Path], depth: int = 2) -> Iterator[Path]:
-    """Folders of an inbox, resolved, each once; not those inside an artwork's."""
-    try:
-        inside = sorted(path for path in folder.iterdir() if path.is_dir() and not is_hidden(path.name))
-    except OSError as fault:
-        found.passed_by.append(
-            PassedBy(folder, f"cannot be read ({fault.strerror}); see its permissions", True)
-        )
-        return
-    for path in inside:
-        real = path.resolve()
+def _folders(
+    folder: Path, root: Path, found: Inbox, skipped: set[Path], depth: int = 2
+) -> Iterator[tuple[Path, frozenset[str]]]:
+    """Folders of an inbox, resolved, each once, and the names in it; not those inside an artwork's."""
+    for path in _inside(folder, found):
+        try:
+            real = path.resolve()
+            names = frozenset(one.name for one in real.iterdir() if not is_hidden(one.name))
+        except (OSError, RuntimeError) as fault:
+            found.passed_by.append(PassedBy(path, _unreadable(fault), True))
+            continue
         if not real.is_relative_to(root):
             found.passed_by.append(
                 PassedBy(path, "is a link that leads out of the inbox; move the capture in", True)
             )
         elif real not in skipped:
             skipped.add(real)
-            yield real
-            if depth > 1 and not (real / MANIFEST).exists():
+            yield real, names
+            if depth > 1 and MANIFEST not in names:
                 yield from _folders(real, root, found, skipped, depth - 1)
 
 
-def _add(folder: Path, root: Path, settle: float, found: Inbox) -> None:
-    """Read an artwork's manifest; whatever is wrong with it is told and passed by."""
-    manifest = folder / MANIFEST
-    uploaded, message = _upload(folder, settle, [])
-    if message:
-        found.passed_by.append(PassedBy(folder, message, failed=False))
-        return
-    artwork = ""
+def _inside(folder: Path, found: Inbox) -> list[Path]:
+    """Folders in a folder, and links to such; one that cannot be looked at is told and costs no other."""
+    inside = []
     try:
-        if not manifest.resolve().is_relative_to(root):
-            raise CaptureError(
-                f"{manifest}: is a link that leads out of the inbox; put the manifest itself here"
-            )
-        _, read = read_manifest(manifest)
-        artwork = read.artwork.id
-        tiles = tuple(load_capture(manifest, root=root))
-        _require_free_name(artwork, manifest, found)
-    except NlightsError as fault:
-        found.passed_by.append(PassedBy(folder, str(fault), True, artwork))
+        with os.scandir(folder) as entries:
+            listed = sorted((entry for entry in entries if not is_hidden(entry.name)), key=lambda e: e.name)
+    except OSError as fault:
+        found.passed_by.append(PassedBy(folder, _unreadable(fault), True))
+        return []
+    for entry in listed:
+        path = Path(entry.path)
+        try:
+            if entry.is_dir():
+                inside.append(path)
+            elif entry.is_symlink() and not path.exists():
+                found.passed_by.append(
+                    PassedBy(path, "is a link that leads nowhere; mend or remove it", True)
+                )
+        except OSError as fault:
+            found.passed_by.append(PassedBy(path, _unreadable(fault), True))
+    return inside
+
+
+def _unreadable(fault: Exception) -> str:
+    reason = getattr(fault, "strerror", None) or fault
+    return f"cannot be read ({reason}); see its permissions, and whose it is"
+
+
+def _add(folder: Path, root: Path, settle: float, found: Inbox) -> None:
+    """Read an artwork's manifest; whatever is wrong with it, or odd about it, is told and passed by."""
+    path, artwork = folder / MANIFEST, ""
+    try:
+        uploaded, waiting = _upload(folder, settle, [])
+        if not waiting:
+            source, manifest = _read(path, root)
+            artwork = manifest.artwork.id
+            tiles = tuple(tiles_of(source, manifest, root=root))
+            _require_free_name(artwork, path, found)
+            uploaded, waiting = _upload(folder, settle, tiles)
+    except Exception as fault:  # nothing that somebody uploads may end a night
+        found.passed_by.append(PassedBy(folder, _explained(fault, path), True, artwork))
         return
-    uploaded, message = _upload(folder, settle, tiles)
-    if message:
-        found.passed_by.append(PassedBy(folder, message, failed=False, artwork=artwork))
+    if waiting:
+        found.passed_by.append(PassedBy(folder, waiting, failed=False, artwork=artwork))
         return
-    found.ready.append(Candidate(folder, artwork, read.artwork.title, read.priority, uploaded, tiles))
+    title, priority = manifest.artwork.title, manifest.priority
+    found.ready.append(Candidate(folder, artwork, title, priority, uploaded, tiles))
+
+
+def _read(path: Path, root: Path) -> tuple[Source, Manifest]:
+    """Read a manifest that lies in the inbox."""
+    if refusal(path):  # a link that leads in a circle
+        raise CaptureError(f"{path}: {refusal(path)}")
+    if not path.resolve().is_relative_to(root):
+        raise CaptureError(f"{path}: is a link that leads out of the inbox; put the manifest itself here")
+    return read_manifest(path)
+
+
+def _explained(fault: Exception, path: Path) -> str:
+    """Fault of a manifest as a sentence."""
+    if isinstance(fault, NlightsError):
+        return str(fault)
+    if isinstance(fault, OSError):
+        return f"{fault.filename or path}: {_unreadable(fault)}"
+    return (
+        f"{path}: cannot be understood ({type(fault).__name__}: {fault}); that it is not said better is a defect: "
+        "please report it, and look for what is unusual in the manifest"
+    )
 
 
 def _require_free_name(artwork: str, manifest: Path, found: Inbox) -> None:
     """Two artworks may not write into one folder of products."""
-    if artwork.casefold() == NIGHTS:
-        raise CaptureError(
-            f"{manifest}: artwork.id: '{artwork}' is the name of the folder of all nights; give the artwork another"
-        )
     for other in found.ready:
         if folder_of(other.artwork).casefold() == folder_of(artwork).casefold():
             raise CaptureError(
@@ -201,16 +243,31 @@ def _require_free_name(artwork: str, manifest: Path, found: Inbox) -> None:
 
 
 def _upload(folder: Path, settle: float, tiles: Iterable[Tile]) -> tuple[float, str]:
-    """Time when an upload was finished, and why it is not, where it is not."""
+    """Time when an upload was finished, and why it is not, where it is not.
+
+    Raises
+    ------
+    CaptureError
+        When the marker has a date that no calendar has.
+    """
+    marker = folder / MARKER
     try:
-        marker = (folder / MARKER).stat().st_mtime
-        return marker, ""
+        uploaded = marker.stat().st_mtime
     except OSError:
         pass
+    else:
+        try:
+            datetime.fromtimestamp(uploaded).astimezone()
+        except (ValueError, OverflowError, OSError):
+            raise CaptureError(
+                f"{marker}: is dated {uploaded:.0f} s from 1970, which no calendar has; set the clock of the "
+                "computer that uploads, and make the file anew"
+            ) from None
+        return uploaded, ""
     shared = {path for tile in tiles for path in photographs_of(tile) if not path.is_relative_to(folder)}
     try:
         newest, path = max(_changes(folder, shared))
-    except OSError as fault:
+    except FileNotFoundError as fault:
         return 0.0, f"is changing ({fault.filename}: {fault.strerror}); the next night looks again"
     quiet = time.time() - newest
     if quiet >= settle:
@@ -244,15 +301,6 @@ def photographs_of(tile: Tile) -> list[Path]:
     single = [path for path in (tile.dark, tile.mask) if path]
     single += [tile.known_heights.file] if tile.known_heights else []
     return [*tile.frames.values(), *(tile.flats or {}).values(), *spheres, *single]
-
-
-def _has_photographs(folder: Path) -> bool:
-    try:
-        return any(
-            path.suffix.lower() in EXTENSIONS and not is_hidden(path.name) for path in folder.iterdir()
-        )
-    except OSError:
-        return False
 
 
 def _tell_bare(bare: list[Path], root: Path, found: Inbox) -> None:

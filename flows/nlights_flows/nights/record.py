@@ -6,12 +6,17 @@ import json
 import shutil
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from datetime import datetime
 from pathlib import Path
 from typing import Any, Literal
 
+from pydantic import FiniteFloat, TypeAdapter
+from typing_extensions import TypedDict  # pydantic asks for it below Python 3.12
+
 from nlights_core import __version__
+from nlights_core.machine.regular_files import irregular_kind
 from nlights_core.store import write_whole
 from nlights_flows.nights.inbox import NIGHTS
 
@@ -217,21 +222,57 @@ REMEMBERED = 100
 """So many of the newest nights are looked at for times and trends."""
 
 
-def earlier_nights(out: Path, but: str = "") -> list[dict[str, Any]]:
-    """Records of the newest nights of an output folder, newest first; what cannot be read is left out."""
+class _Number(TypedDict):
+    value: FiniteFloat
+    unit: str
+
+
+class _Measured(TypedDict):
+    stand: str
+    flats: str
+    numbers: dict[str, _Number]
+
+
+class _EarlierTile(TypedDict):
+    state: str
+    seconds: FiniteFloat
+    megapixels: FiniteFloat | None
+    measured: _Measured | None
+
+
+class _EarlierArtwork(TypedDict):
+    artwork: str
+    tiles: list[_EarlierTile]
+
+
+class EarlierNight(TypedDict):
+    """The fields of a ``night.json`` that later nights use."""
+
+    schema: Literal[1]
+    name: str
+    recipe: str
+    started: str
+    artworks: list[_EarlierArtwork]
+
+
+_EARLIER = TypeAdapter(EarlierNight)
+
+
+def earlier_nights(out: Path, but: str = "") -> list[EarlierNight]:
+    """Read what later nights use of the newest nights of an output folder; newest first.
+
+    A record that cannot be read, or has other fields, is left out: it is of another version, or somebody's own.
+    """
     found = []
     paths = (path for path in (out / NIGHTS).glob(f"*/{RECORD}") if path.parent.name != but)
     for path in sorted(paths, reverse=True)[:REMEMBERED]:
-        try:
-            record = json.loads(path.read_text(encoding="utf-8"))
-        except (OSError, ValueError):
-            continue
-        if isinstance(record, dict) and record.get("schema") == SCHEMA:
-            found.append(record)
-    return sorted(found, key=lambda record: str(record.get("started")), reverse=True)
+        with suppress(OSError, ValueError, RecursionError):  # pydantic's faults are ValueErrors
+            if not irregular_kind(path):
+                found.append(_EARLIER.validate_json(path.read_bytes(), strict=True))
+    return sorted(found, key=lambda night: night["started"], reverse=True)
 
 
-def timed_tiles(nights: Sequence[dict[str, Any]], recipe: str) -> list[tuple[float, float]]:
+def timed_tiles(nights: Sequence[EarlierNight], recipe: str) -> list[tuple[float, float]]:
     """Megapixels and seconds of the tiles that nights with a recipe made, newest first, 200 at most."""
     return [
         (tile["megapixels"], tile["seconds"])
@@ -239,5 +280,5 @@ def timed_tiles(nights: Sequence[dict[str, Any]], recipe: str) -> list[tuple[flo
         if night["recipe"] == recipe
         for artwork in night["artworks"]
         for tile in artwork["tiles"]
-        if tile["state"] == "done" and tile["megapixels"]
+        if tile["state"] == "done" and tile["megapixels"] and tile["megapixels"] > 0 and tile["seconds"] >= 0
     ][:200]

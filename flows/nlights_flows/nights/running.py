@@ -11,13 +11,15 @@ from contextvars import copy_context
 from dataclasses import asdict, replace
 from datetime import datetime
 from functools import partial
+from pathlib import Path
 
 from nlights_core.capture import Tile
 from nlights_core.capture_warnings import read_warnings
 from nlights_core.errors import NlightsError
 from nlights_core.names.artworks import require_own_folder
+from nlights_core.names.odd_names import shown
 from nlights_core.products.publishing import publish
-from nlights_core.store import RottenArtefactError, sweep_below
+from nlights_core.store import sweep_below
 from nlights_flows.nights.checking import in_store, require_usable
 from nlights_flows.nights.claims import Claims
 from nlights_flows.nights.estimates import learn_estimate, require_disk
@@ -184,7 +186,7 @@ class Night:
         entry = ArtworkEntry(
             candidate.artwork,
             candidate.title,
-            candidate.folder.relative_to(self.night.order.inbox.resolve()).as_posix(),
+            shown(candidate.folder.relative_to(self.night.order.inbox.resolve()).as_posix()),
             priority=candidate.priority,
             uploaded=datetime.fromtimestamp(candidate.uploaded).astimezone().isoformat(timespec="minutes"),
             tiles=[TileEntry(tile.name) for tile in candidate.tiles],
@@ -196,8 +198,9 @@ class Night:
                 if self._already_done(tile):
                     continue
                 one.megapixels = require_usable(tile, self.night.recipe) / 1e6
-            except NlightsError as fault:
-                self._take_down(Outcome(tile.artwork, tile.name, "failed", None, str(fault)))
+            except Exception as fault:  # nothing that somebody uploads may end a night
+                said = explain_fault(fault, self.night.store)
+                self._take_down(Outcome(tile.artwork, tile.name, "failed", None, said))
         entry.settle()
         return entry
 
@@ -207,9 +210,9 @@ class Night:
             ArtworkEntry(
                 one.artwork,
                 "",
-                one.folder.relative_to(root).as_posix(),
+                shown(one.folder.relative_to(root).as_posix()),
                 "failed" if one.failed else "waiting",
-                one.message,
+                shown(one.message),
             )
             for one in found.passed_by
         ]
@@ -217,13 +220,15 @@ class Night:
     def _already_done(self, tile: Tile) -> bool:
         """Publish a tile of which the store has everything, without running anything."""
         order, store = self.night.order, self.night.store
-        refs = in_store(tile, self.night.recipe, store, order.options.compression)
-        if refs is None:
-            return False
-        started = time.monotonic()
         try:
+            refs = in_store(tile, self.night.recipe, store, order.options.compression)
+            if refs is None:
+                return False
+            started = time.monotonic()
             published = publish(store, tile, refs, order.options.out, copied=order.options.copy)
-        except (OSError, RottenArtefactError):  # artefacts are gone: running the tile makes them again
+        except (
+            Exception
+        ):  # artefacts are deleted or damaged: running the tile makes them again, or says why not
             return False
         took = time.monotonic() - started
         self._take_down(
@@ -296,18 +301,31 @@ class Night:
         """Enter what became of a tile."""
         with self._lock:
             one = self._tiles[outcome.artwork, outcome.tile]
-            one.state, one.message, one.notes = outcome.state, outcome.message, list(outcome.notes)
+            one.state, one.message = outcome.state, shown(outcome.message)
+            one.notes = [shown(note) for note in outcome.notes]
             one.seconds = round(outcome.seconds, 2)
             if outcome.folder is not None:
                 one.products = outcome.folder.relative_to(self.night.order.options.out).as_posix()
-                one.measured = measured(outcome.folder)
-                one.numbers, one.verdict, size = numbers_of(outcome.folder, self.night.limits)
-                one.warnings = [warning.record() for warning in read_warnings(outcome.folder)]
+                size = self._read_numbers(one, outcome.folder)
                 one.megapixels = one.megapixels or size
             if outcome.state == "done" and one.megapixels:
                 self._timed.insert(0, (one.megapixels, outcome.seconds))
                 self._estimate = learn_estimate(self._timed)
         return outcome
+
+    def _read_numbers(self, one: TileEntry, folder: Path) -> float | None:
+        """Enter what products say of themselves; their megapixels.  Damaged records are told, and end nothing."""
+        try:
+            one.measured = measured(folder)
+            one.numbers, one.verdict, size = numbers_of(folder, self.night.limits)
+            one.warnings = [warning.record() for warning in read_warnings(folder)]
+        except Exception as fault:
+            said = f"{type(fault).__name__}: {fault}"
+            one.notes.append(
+                f"quality.json, provenance.json or warnings.json in {folder} is damaged ({said})"
+            )
+            return None
+        return size
 
     def _give_up(self, tiles: list[Tile], message: str) -> None:
         for tile in tiles:

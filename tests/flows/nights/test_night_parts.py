@@ -76,7 +76,7 @@ def test_links_out_of_the_inbox_doubled_numbers_and_reserved_names_are_faults(tm
     told = {one.folder.name: one.message for one in found.passed_by}
     assert all(one.failed for one in found.passed_by)
     assert str(inbox / "a" / "artwork.yaml") in told["b"]
-    assert "folder of all nights" in told["c"]
+    assert "a folder or file of nLights' own" in told["c"]
     assert "leads out" in told["d"]
     assert "leads out" in told["e"]
     assert "outside the capture root" in told["f"]
