@@ -30,6 +30,7 @@ from nlights_core.machine.regular_files import irregular_kind
 from nlights_core.names.photographs import did_you_mean
 from nlights_core.photographs.camera_raws import open_raw
 from nlights_core.photographs.decoding import Decoder, explain_damage
+from nlights_core.photographs.tiff_codecs import JPEG, require_codec, require_size
 from nlights_core.photographs.tiff_pages import described, full_pages
 
 # tifffile logs what it mends silently; each such fault that could change a pixel is an error here.
@@ -135,7 +136,9 @@ def _open_tiff(path: Path, mask: bool) -> Decoder:
         undo.callback(file.close)
         pages = full_pages(file)
         page = pages[0][1]
-        if mask and not page.is_subifd and (page.bitspersample == 1 or page.photometric in (0, 3)):
+        bits = mask and not page.is_subifd and (page.bitspersample == 1 or page.photometric in (0, 3))
+        require_codec(path, page, bits)
+        if bits:
             return _open_bits(path, page)
         channels = _tiff_channels(path, page, mask)
         _check_segments(path, page, file.filehandle.size)
@@ -270,6 +273,8 @@ def _decoded_rows(
         for index in range(first, last):
             page.parent.filehandle.seek(page.dataoffsets[index])
             coded = page.parent.filehandle.read(page.databytecounts[index])
+            if page.compression == JPEG:
+                require_size(path, page, coded)
             segment, place, _ = page.decode(
                 coded, index, jpegtables=page.jpegtables, jpegheader=page.jpegheader
             )

@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+from itertools import islice
+
 import tifffile
+
+MOST_PAGES = 100
+"""Of a file, and of the images within a page, that are looked at: a file can hold millions, of nothing."""
 
 _REDUCED, _MASK = 1, 4
 """Bits of NewSubfileType (TIFF 6.0), to which tifffile turns the older SubfileType."""
@@ -26,11 +31,11 @@ def full_pages(file: tifffile.TiffFile) -> list[tuple[str, tifffile.TiffPage]]:
     Exception
         Whatever tifffile says of a damaged file.
     """
-    pages = [(f"page {i}", page.aspage()) for i, page in enumerate(file.pages, 1)]
+    pages = [(f"page {i}", page.aspage()) for i, page in enumerate(islice(file.pages, MOST_PAGES), 1)]
     inner = [
         (f"image {i} in {name}", sub.aspage())
         for name, page in pages
-        for i, sub in enumerate(page.pages or (), 1)
+        for i, sub in enumerate(islice(page.pages or (), MOST_PAGES), 1)
     ]
     full = (
         [one for one in pages if _is_full(one[1])]
