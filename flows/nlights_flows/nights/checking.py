@@ -12,10 +12,10 @@ from nlights_core.errors import NlightsError, TileError
 from nlights_core.photographs.headers import grid_of, survey
 from nlights_core.recipe import Recipe
 from nlights_core.store import ArtefactRef, Store, Work
+from nlights_flows.nights.earlier import earlier_nights
 from nlights_flows.nights.estimates import UNCHANGED_SECONDS, Estimate, learn_estimate
 from nlights_flows.nights.inbox import Candidate, PassedBy, scan
 from nlights_flows.nights.order import Checked
-from nlights_flows.nights.record import earlier_nights, timed_tiles
 from nlights_flows.tiles.chain import digitise_tile
 from nlights_flows.tiles.running import require_memory
 
@@ -101,7 +101,7 @@ class Planned:
 def plan_night(night: Checked) -> tuple[list[Planned], list[PassedBy], Estimate]:
     """Say what a night would do, in its order; nothing runs and nothing is written."""
     order, store = night.order, night.store
-    estimate = learn_estimate(timed_tiles(earlier_nights(order.options.out), night.recipe.name))
+    estimate = learn_estimate(earlier_nights(order.options.out, night.recipe.name).timed)
     found = scan(order.inbox, order.settle, (order.options.out, store.root))
     planned = []
     for candidate in found.ready:

@@ -5,18 +5,13 @@ from __future__ import annotations
 import json
 import shutil
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from contextlib import suppress
-from dataclasses import asdict, dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import FiniteFloat, TypeAdapter
-from typing_extensions import TypedDict  # pydantic asks for it below Python 3.12
-
 from nlights_core import __version__
-from nlights_core.machine.regular_files import irregular_kind
 from nlights_core.store import write_whole
 from nlights_flows.nights.inbox import NIGHTS
 
@@ -138,8 +133,13 @@ class NightRecord:
         return (tile for artwork in self.artworks for tile in artwork.tiles)
 
     def as_json(self) -> dict[str, Any]:
-        """Contents of ``night.json``."""
-        return {"schema": SCHEMA, "nlights": __version__, "verdict": summarise_night(self), **asdict(self)}
+        """Contents of ``night.json``; what lies deeper than a tile's own fields is not copied."""
+        artworks = [
+            {**vars(artwork), "tiles": [dict(vars(tile)) for tile in artwork.tiles]}
+            for artwork in self.artworks
+        ]
+        said = {"schema": SCHEMA, "nlights": __version__, "verdict": summarise_night(self)}
+        return {**said, **vars(self), "artworks": artworks}
 
 
 def summarise_night(record: NightRecord) -> str:
@@ -216,69 +216,3 @@ def write_record(record: NightRecord, folder: Path, out: Path) -> None:
     text = json.dumps(record.as_json(), indent=1, ensure_ascii=False) + "\n"
     for place in (folder, out):
         write_whole(place / RECORD, text)
-
-
-REMEMBERED = 100
-"""So many of the newest nights are looked at for times and trends."""
-
-
-class _Number(TypedDict):
-    value: FiniteFloat
-    unit: str
-
-
-class _Measured(TypedDict):
-    stand: str
-    flats: str
-    numbers: dict[str, _Number]
-
-
-class _EarlierTile(TypedDict):
-    state: str
-    seconds: FiniteFloat
-    megapixels: FiniteFloat | None
-    measured: _Measured | None
-
-
-class _EarlierArtwork(TypedDict):
-    artwork: str
-    tiles: list[_EarlierTile]
-
-
-class EarlierNight(TypedDict):
-    """The fields of a ``night.json`` that later nights use."""
-
-    schema: Literal[1]
-    name: str
-    recipe: str
-    started: str
-    artworks: list[_EarlierArtwork]
-
-
-_EARLIER = TypeAdapter(EarlierNight)
-
-
-def earlier_nights(out: Path, but: str = "") -> list[EarlierNight]:
-    """Read what later nights use of the newest nights of an output folder; newest first.
-
-    A record that cannot be read, or has other fields, is left out: it is of another version, or somebody's own.
-    """
-    found = []
-    paths = (path for path in (out / NIGHTS).glob(f"*/{RECORD}") if path.parent.name != but)
-    for path in sorted(paths, reverse=True)[:REMEMBERED]:
-        with suppress(OSError, ValueError, RecursionError):  # pydantic's faults are ValueErrors
-            if not irregular_kind(path):
-                found.append(_EARLIER.validate_json(path.read_bytes(), strict=True))
-    return sorted(found, key=lambda night: night["started"], reverse=True)
-
-
-def timed_tiles(nights: Sequence[EarlierNight], recipe: str) -> list[tuple[float, float]]:
-    """Megapixels and seconds of the tiles that nights with a recipe made, newest first, 200 at most."""
-    return [
-        (tile["megapixels"], tile["seconds"])
-        for night in nights
-        if night["recipe"] == recipe
-        for artwork in night["artworks"]
-        for tile in artwork["tiles"]
-        if tile["state"] == "done" and tile["megapixels"] and tile["megapixels"] > 0 and tile["seconds"] >= 0
-    ][:200]

@@ -22,6 +22,7 @@ from nlights_core.products.publishing import publish
 from nlights_core.store import sweep_below
 from nlights_flows.nights.checking import in_store, require_usable
 from nlights_flows.nights.claims import Claims
+from nlights_flows.nights.earlier import TIMED, earlier_nights
 from nlights_flows.nights.estimates import learn_estimate, require_disk
 from nlights_flows.nights.inbox import Candidate, Inbox, require_inbox, scan
 from nlights_flows.nights.numbers import numbers_of
@@ -32,12 +33,10 @@ from nlights_flows.nights.record import (
     ArtworkEntry,
     NightRecord,
     TileEntry,
-    earlier_nights,
     new_night,
-    timed_tiles,
     write_record,
 )
-from nlights_flows.nights.trends import measured, trends
+from nlights_flows.nights.trends import captures_of, measured, trends
 from nlights_flows.tiles import console, dask_runner
 from nlights_flows.tiles.explaining import explain_fault
 from nlights_flows.tiles.preparing import make_folders
@@ -47,7 +46,7 @@ LOOK = 2.0
 """Seconds between two looks at tiles that another night is at."""
 
 SHARE = 0.05
-"""Of a night's time, that its page may take, if it takes more than `QUICK`."""
+"""Of a night's time, that its record and page may take beyond `QUICK`, the last ones apart."""
 
 QUICK = 1.0
 """Seconds."""
@@ -131,9 +130,9 @@ class Night:
         self.night, self.run_artwork, self.claims, self.at_once = night, run_artwork, claims, at_once
         order, started = night.order, datetime.now().astimezone()
         self.folder = new_night(order.options.out, started)
-        self._began = self._next_page = time.monotonic()
-        self._earlier = earlier_nights(order.options.out, but=self.folder.name)
-        self._timed = timed_tiles(self._earlier, night.recipe.name)
+        self._began, self._writing = time.monotonic(), 0.0
+        self._earlier = earlier_nights(order.options.out, night.recipe.name, but=self.folder.name)
+        self._timed = self._earlier.timed
         self._estimate = learn_estimate(self._timed)
         self._tiles: dict[tuple[str, str], TileEntry] = {}
         self._running: list[tuple[Candidate, ArtworkEntry]] = []
@@ -309,7 +308,7 @@ class Night:
                 size = self._read_numbers(one, outcome.folder)
                 one.megapixels = one.megapixels or size
             if outcome.state == "done" and one.megapixels:
-                self._timed.insert(0, (one.megapixels, outcome.seconds))
+                self._timed = [(one.megapixels, outcome.seconds), *self._timed][:TIMED]
                 self._estimate = learn_estimate(self._timed)
         return outcome
 
@@ -355,17 +354,17 @@ class Night:
     def _write(self, last: bool = False) -> None:
         """Write record and page as of now; a page that cannot be drawn must not stop the work.
 
-        The page of a long night grows: it is left for later while it would take more than its share
-        of the time, but the last one is always written.
+        Both grow with the night: they are left for later while they would take more than their share
+        of the time, but the last ones are always written.
         """
         with self._lock:
             began = time.monotonic()
-            if not last and began < self._next_page:
+            if not last and self._writing > QUICK + SHARE * (began - self._began):
                 return
             record, out = self.record, self.night.order.options.out
             record.seconds = round(time.monotonic() - self._began, 1)
             record.estimate = asdict(self._estimate)
-            record.trends = trends([record.as_json(), *self._earlier])
+            record.trends = trends((*captures_of(record.as_json()), *self._earlier.captures))
             try:
                 write_record(record, self.folder, out)
                 write_pages(record, self.folder, out)
@@ -374,9 +373,7 @@ class Night:
                 console.complain(said)
                 if said not in record.notes:
                     record.notes.append(said)
-            ended = time.monotonic()
-            if ended - began > QUICK:
-                self._next_page = ended + (ended - began) / SHARE
+            self._writing += time.monotonic() - began
 
 
 def _minutes(seconds: float) -> str:

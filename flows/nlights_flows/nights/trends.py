@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -58,13 +59,13 @@ def _followed(name: str) -> bool:
     return name in FOLLOWED or name.startswith(f"{LEVEL}, ")
 
 
-def trends(nights: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+def trends(captures: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
     """Control charts of every stand.
 
     Parameters
     ----------
-    nights : sequence of mapping
-        Records of nights, newest first.
+    captures : iterable of dict
+        From `captures_of`, of several nights, newest first; `CAPTURES` of a stand are looked at.
 
     Returns
     -------
@@ -73,24 +74,36 @@ def trends(nights: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
         "artwork", "new_flats", "outside"), "centre", and "low" and "high" (None where there are too few flats).
     """
     stands: dict[str, list[dict[str, Any]]] = {}
-    for capture in _captures(nights):
-        known = stands.setdefault(capture["stand"], [])
-        if len(known) < CAPTURES:
-            known.append(capture)
+    for capture in newest_of_each_stand(captures):
+        stands.setdefault(capture["stand"], []).append(capture)
     return [_charts(stand, list(reversed(found))) for stand, found in sorted(stands.items())]
 
 
-def _captures(nights: Iterable[Mapping[str, Any]]) -> Iterator[dict[str, Any]]:
-    """Captures, newest first: what was made in a night of an artwork with one flat set."""
-    for night in nights:
-        for artwork in reversed(night["artworks"]):
-            seen = set()
-            for tile in artwork["tiles"]:
-                found = tile["measured"]
-                if tile["state"] != "done" or not found or found["flats"] in seen:
-                    continue
-                seen.add(found["flats"])
-                yield {**found, "night": night["name"], "artwork": artwork["artwork"]}
+def newest_of_each_stand(captures: Iterable[dict[str, Any]]) -> Iterator[dict[str, Any]]:
+    """Those captures that the charts show: `CAPTURES` of each stand at most; they come newest first."""
+    seen: Counter[str] = Counter()
+    for capture in captures:
+        seen[capture["stand"]] += 1
+        if seen[capture["stand"]] <= CAPTURES:
+            yield capture
+
+
+def captures_of(night: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+    """Captures in a night's record, newest first: what was made of an artwork with one flat set."""
+    for artwork in reversed(night["artworks"]):
+        seen = set()
+        for tile in artwork["tiles"]:
+            found = tile["measured"]
+            if tile["state"] != "done" or not found or found["flats"] in seen:
+                continue
+            seen.add(found["flats"])
+            yield {
+                "stand": str(found["stand"]),
+                "flats": found["flats"],
+                "numbers": found["numbers"],
+                "night": night["name"],
+                "artwork": artwork["artwork"],
+            }
 
 
 def _charts(stand: str, captures: Sequence[Mapping[str, Any]]) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -10,6 +11,7 @@ if TYPE_CHECKING:
     import jinja2
 
 
+@cache  # a night fills its page in again and again
 def template(path: Path) -> jinja2.Template:
     """Open a page's template, a file beside its module: what is put in is escaped, and what it lacks is a fault."""
     import jinja2

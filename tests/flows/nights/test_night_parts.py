@@ -20,7 +20,7 @@ from nlights_flows.nights.inbox import scan
 from nlights_flows.nights.limits import load_limits
 from nlights_flows.nights.order import Order, check_order
 from nlights_flows.nights.page import moved
-from nlights_flows.nights.trends import control_limits, trends
+from nlights_flows.nights.trends import captures_of, control_limits, trends
 from nlights_flows.tiles import environment, running
 from nlights_flows.tiles.photographs import Photographs
 from nlights_flows.tiles.run_options import RunOptions
@@ -188,12 +188,16 @@ def night(name: str, artwork: str, flats: str, level: float, state: str = "done"
     return {"name": name, "artworks": [{"artwork": artwork, "tiles": [tile, tile]}]}
 
 
+def captures(nights: list[dict]) -> list[dict]:
+    return [capture for night in reversed(nights) for capture in captures_of(night)]
+
+
 def test_a_lamp_that_fails_is_marked_and_flats_that_are_used_again_count_once():
     levels = [20.0, 20.1, 19.9, 20.05, 19.95, 20.1, 19.9, 20.0]
     nights = [night(f"n{i}", f"inv-{i}", f"flats-{i}", level) for i, level in enumerate(levels)]
     nights += [night("n8", "inv-8", "flats-7", 20.0), night("n9", "inv-9", "flats-9", 15.0)]
     nights += [night("n10", "inv-9", "flats-9", 15.0, state="unchanged")]
-    (stand,) = trends(nights[::-1])
+    (stand,) = trends(captures(nights))
     (trend,) = stand["charts"]
     assert stand["captures"] == 10
     assert [point["outside"] for point in trend["points"]] == [False] * 9 + [True]
@@ -204,7 +208,7 @@ def test_a_lamp_that_fails_is_marked_and_flats_that_are_used_again_count_once():
     assert moved({"trends": [stand], "name": "n10"}) == []  # it was told the night before
     assert float(drawn["points"][9]["y"]) > float(drawn["points"][0]["y"])  # lower is further down
     many = [night(f"n{i}", "a", f"f{i}", 20.0) for i in range(40)]
-    assert trends(many[::-1])[0]["captures"] == 30
+    assert trends(captures(many))[0]["captures"] == 30
 
 
 def test_control_limits_are_three_standard_deviations_whatever_a_few_outliers_do():
