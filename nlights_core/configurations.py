@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -234,6 +235,17 @@ def load_stand(what: str, base: Path | None = None) -> Stand:
         Naming the file, the line, the field, what was found and what is allowed.
     """
     path = find(what, "stands", StandError, base)
+    try:
+        status = path.stat()
+    except OSError:  # reading it says why
+        return _read_stand.__wrapped__(path, path, ())
+    return _read_stand(
+        path.resolve(), path, (status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns)
+    )
+
+
+@lru_cache(maxsize=32)  # thousands of artworks name the same stand
+def _read_stand(place: Path, path: Path, stamp: tuple[int, ...]) -> Stand:
     stand = Source(path, StandError).check(Stand)
     stand._file = path.absolute()
     return stand

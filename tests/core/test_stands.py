@@ -100,3 +100,13 @@ def test_an_impossible_stand_is_refused_with_the_reason(tmp_path, old, new, word
 
 def test_the_lens_of_25_degrees_has_the_known_exponent():
     assert load_stand("horizontal").lamp.exponent == pytest.approx(28.9, abs=0.05)
+
+
+def test_a_stand_is_read_again_when_its_file_was_changed(tmp_path):
+    path = tmp_path / "own.yaml"
+    text = (shipped("stands") / "horizontal.yaml").read_text(encoding="utf-8")
+    path.write_text(text, encoding="utf-8")
+    first = load_stand(str(path))
+    assert load_stand(str(path)) is first
+    path.write_text(text.replace("name: horizontal", "name: crosswise"), encoding="utf-8")
+    assert (first.name, load_stand(str(path)).name) == ("horizontal", "crosswise")

@@ -78,6 +78,8 @@ class Inbox:
 
     ready: list[Candidate] = field(default_factory=list)
     passed_by: list[PassedBy] = field(default_factory=list)
+    names: dict[str, Path] = field(default_factory=dict)
+    """Folders of what is ready, by the name of the folder of its products, in small letters."""
 
 
 def scan(inbox: Path, settle: float, ignored: Iterable[Path] = ()) -> Inbox:
@@ -207,6 +209,7 @@ def _add(folder: Path, root: Path, settle: float, found: Inbox) -> None:
     if waiting:
         found.passed_by.append(PassedBy(folder, waiting, failed=False, artwork=artwork))
         return
+    found.names[folder_of(artwork).casefold()] = folder
     title, priority = manifest.artwork.title, manifest.priority
     found.ready.append(Candidate(folder, artwork, title, priority, uploaded, tiles))
 
@@ -234,12 +237,11 @@ def _explained(fault: Exception, path: Path) -> str:
 
 def _require_free_name(artwork: str, manifest: Path, found: Inbox) -> None:
     """Two artworks may not write into one folder of products."""
-    for other in found.ready:
-        if folder_of(other.artwork).casefold() == folder_of(artwork).casefold():
-            raise CaptureError(
-                f"{manifest}: artwork.id: '{artwork}' is also the id of {other.folder / MANIFEST}; correct one of "
-                "them, or join their tiles in one manifest"
-            )
+    if other := found.names.get(folder_of(artwork).casefold()):
+        raise CaptureError(
+            f"{manifest}: artwork.id: '{artwork}' is also the id of {other / MANIFEST}; correct one of "
+            "them, or join their tiles in one manifest"
+        )
 
 
 def _upload(folder: Path, settle: float, tiles: Iterable[Tile]) -> tuple[float, str]:
