@@ -42,6 +42,8 @@ def mask(store: Store, tile: Tile, flats: bool) -> Work:
         if border is not None:
             inside = border.mask(info.rows, info.columns, samples.block)
         write_border(folder, border)
+        # Bits are packed, and written by Python.  Other arrays tifffile leaves to numpy, which says nothing when
+        # the disk is full at the very end: they go through `nlights_core.files.tiffs`.
         tifffile.imwrite(folder / FILE, inside)
 
     return Work(ref, record, make)

@@ -25,6 +25,7 @@ from nlights_flows.nights.claims import Claims
 from nlights_flows.nights.earlier import TIMED, earlier_nights
 from nlights_flows.nights.estimates import learn_estimate, require_disk
 from nlights_flows.nights.inbox import Candidate, Inbox, require_inbox, scan
+from nlights_flows.nights.leftovers import clear_leftovers
 from nlights_flows.nights.numbers import numbers_of
 from nlights_flows.nights.order import Batch, Checked, Order, RunArtwork, check_order
 from nlights_flows.nights.page import write_pages
@@ -83,6 +84,7 @@ def run_night(order: Order, run_artwork: RunArtwork, at_once: int = 1) -> NightR
         make_folders(night.options)
         for root in (night.store.root, night.options.out):
             sweep_below(root)  # what killed runs left where nobody has been since
+        clear_leftovers(order.options.out, night.store.root)
         with Claims(night.store.root) as claims:
             return Night(night, run_artwork, claims, at_once).run()
 
