@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 from nlights_core.capture_warnings import CaptureWarning
 from nlights_core.frames import Array, PixelGrid
+from nlights_core.names.control_characters import shown_escaped
 from nlights_core.report.chapters import Chapter, chapters
 from nlights_core.report.figures import Number, figure_of
 from nlights_core.report.views import Views
@@ -132,6 +133,7 @@ def write_report(
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(Path(__file__).with_name("templates")),
         autoescape=True,
+        finalize=shown_escaped,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,

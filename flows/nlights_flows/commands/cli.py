@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -11,6 +10,7 @@ import typer
 
 from nlights_core import __version__
 from nlights_core.errors import NlightsError
+from nlights_core.names.control_characters import escape_controls
 from nlights_flows.commands import compare as compare_command
 from nlights_flows.commands import doctor as doctor_command
 from nlights_flows.commands import init as init_command
@@ -18,6 +18,7 @@ from nlights_flows.commands import nightly as nightly_command
 from nlights_flows.commands import plugins as plugin_commands
 from nlights_flows.commands import tolerance as tolerance_command
 from nlights_flows.commands import upkeep as upkeep_commands
+from nlights_flows.commands.interrupts import INTERRUPTED, SENTENCE, heed
 from nlights_flows.commands.options import (
     Address,
     Artwork,
@@ -35,12 +36,12 @@ from nlights_flows.commands.options import (
     Tiles,
     Timeout,
 )
+from nlights_flows.tiles.streams import complain, prepare_streams, say, silence
 
 if TYPE_CHECKING:
     from nlights_flows.tiles.run_options import RunOptions
     from nlights_flows.tiles.running import Outcome
 
-INTERRUPTED = 130
 UNREAD = 141
 """What a shell calls a command whose reader went away (128 + SIGPIPE)."""
 
@@ -71,7 +72,7 @@ done; 2 nothing was produced.
 def version(show: bool) -> None:
     """Print the version."""
     if show:
-        print(f"nlights {__version__}")
+        say(f"nlights {__version__}")
         raise typer.Exit
 
 
@@ -125,7 +126,7 @@ def simulate(
             seed=seed,
             progress=lambda done, total: progress(done / total),
         )
-    print(f"{folder / 'artwork.yaml'}: {scene}, {width} px wide; the truth is in {folder / 'truth'}")
+    say(f"{folder / 'artwork.yaml'}: {scene}, {width} px wide; the truth is in {folder / 'truth'}")
 
 
 @app.command()
@@ -300,10 +301,18 @@ doctor_command.register(app)
 def main() -> None:
     """Run the command line; a reader who goes away ends it without a word."""
     try:
+        heed()
+        prepare_streams()
         code = _run()
         sys.stdout.flush()
     except BrokenPipeError:
         code = _unread()
+    except OSError as fault:  # of the flush: the disk is full to which the output goes
+        silence(1)
+        complain(f"standard output: {fault.strerror or fault}")
+        code = 2
+    except KeyboardInterrupt:
+        code = _stopped()
     except SystemExit as fault:
         # Typer and rich end the process themselves where a pipe is broken, with a 1 that means something else.
         if not isinstance(fault.__context__, BrokenPipeError):
@@ -324,7 +333,7 @@ def _warn_of_plugins() -> None:
     """Name the plugins that were found to be broken, if this command has looked at any."""
     registry = sys.modules.get("nlights_core.registry")
     for plugin in registry.broken_plugins() if registry else ():
-        print(f"warning: a plugin is not used: {plugin.why}", file=sys.stderr)
+        complain(f"warning: a plugin is not used: {plugin.why}")
 
 
 def _explained() -> int:
@@ -335,29 +344,29 @@ def _explained() -> int:
     except (typer.Abort, KeyboardInterrupt):
         return _stopped()
     except NlightsError as fault:
-        print(fault, file=sys.stderr)
+        complain(fault)
         return 2
     except BrokenPipeError:
         raise
     except OSError as fault:
-        print(f"{fault.filename or 'system'}: {fault.strerror or fault}", file=sys.stderr)
+        complain(f"{fault.filename or 'system'}: {fault.strerror or fault}")
         return 2
     except Exception as fault:
         # Typer carries its own copy of click, so its faults are known by what they can do.
         if not hasattr(fault, "show"):
             raise
+        if isinstance(said := getattr(fault, "message", None), str):
+            fault.message = escape_controls(said)  # type: ignore[attr-defined]
         fault.show()
         return getattr(fault, "exit_code", 2)
 
 
 def _stopped() -> int:
-    print("stopped; what is finished is kept: the same command goes on from there", file=sys.stderr)
+    complain(SENTENCE)
     return INTERRUPTED
 
 
 def _unread() -> int:
     """End quietly where whoever read the output has seen enough; Python must not complain while it ends."""
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    for stream in (1, 2):
-        os.dup2(nowhere, stream)
+    silence(1, 2)
     return UNREAD

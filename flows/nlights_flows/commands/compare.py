@@ -148,12 +148,12 @@ def show(record: Mapping[str, Any], out: Path) -> None:
             console.complain(f"{run['variant']}: {run['tile']}: failed: {run['message']}")
     for note in record["notes"]:
         console.complain(note)
-    print(overall(record["metrics"]))
+    console.say(overall(record["metrics"]))
     for metric in record["metrics"]:
-        print(describe_metric(metric) if metric["over"] else f"{metric['title']}: not measured.")
+        console.say(describe_metric(metric) if metric["over"] else f"{metric['title']}: not measured.")
     spent = record["seconds"]
-    print(f"stages made: {spent['stages']:.1f} s; in all: {spent['all']:.1f} s")
-    print(out / "compare.html")
+    console.say(f"stages made: {spent['stages']:.1f} s; in all: {spent['all']:.1f} s")
+    console.say(out / "compare.html")
 
 
 def exit_code(record: Mapping[str, Any]) -> int:

@@ -49,7 +49,9 @@ def _prepare(portable: bool) -> None:
             "written; run it as the owner of the installation, or set NUMBA_CACHE_DIR to a folder of your own"
         )
         raise typer.Exit(2)
-    print(f"compiled {count} loops; all are in {folder}" if count else f"all loops are compiled: {folder}")
+    console.say(
+        f"compiled {count} loops; all are in {folder}" if count else f"all loops are compiled: {folder}"
+    )
 
 
 def register(app: typer.Typer) -> None:

@@ -59,27 +59,31 @@ def init(
         if isinstance(result, str):
             console.complain(result)
             continue
-        print(f"{result.path}: {f'missing: {result.missing}' if result.missing else result.commands[-1]}")
+        console.say(
+            f"{result.path}: {f'missing: {result.missing}' if result.missing else result.commands[-1]}"
+        )
         complete += not result.missing
         incomplete += bool(result.missing)
     failed = len(rows) - complete - incomplete
-    print(f"{len(rows)} folders: {complete} can be digitised, {incomplete} lack something, {failed} failed")
+    console.say(
+        f"{len(rows)} folders: {complete} can be digitised, {incomplete} lack something, {failed} failed"
+    )
     raise typer.Exit(0 if complete == len(rows) and rows else 1 if complete + incomplete else 2)
 
 
 def _show(written: Written) -> None:
     from nlights_flows.tiles import console
 
-    print(f"{written.path}: written")
+    console.say(f"{written.path}: written")
     for sentence in written.found:
-        print(f"  found: {sentence}")
+        console.say(f"  found: {sentence}")
     for sentence in written.unsure:
-        print(f"  not told or left out: {sentence}")
+        console.say(f"  not told or left out: {sentence}")
     if written.missing:
         console.complain(f"missing: {written.missing}")
-    print("then go on with:" if written.missing else "go on with:")
+    console.say("then go on with:" if written.missing else "go on with:")
     for command in written.commands:
-        print(f"  {command}")
+        console.say(f"  {command}")
 
 
 def register(app: typer.Typer) -> None:

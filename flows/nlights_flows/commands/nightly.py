@@ -127,12 +127,11 @@ def _show(record: dict[str, Any], out: Path) -> None:
                 console.complain(f"{name}/{tile['tile']}: {tile['state']}: {tile['message']}")
             for note in tile["notes"]:
                 console.complain(f"{name}/{tile['tile']}: note: {note}")
-    print(f"{record['verdict']}; {record['seconds']:.1f} s")
-    print(out / "night.html")
+    console.say(f"{record['verdict']}; {record['seconds']:.1f} s")
+    console.say(out / "night.html")
 
 
 def _show_plan(order: Order) -> None:
-    from rich.markup import escape
     from rich.table import Table
 
     from nlights_flows.nights.checking import plan_night
@@ -160,7 +159,7 @@ def _show_plan(order: Order) -> None:
         candidate = one.candidate
         late = ", after --until" if total > night.deadline.left else ""
         table.add_row(
-            escape(candidate.artwork),
+            candidate.artwork,
             str(candidate.priority),
             f"{datetime.fromtimestamp(candidate.uploaded):%Y-%m-%d %H:%M}",
             str(len(candidate.tiles)),
@@ -175,7 +174,7 @@ def _show_plan(order: Order) -> None:
             console.complain(problem)
     for passed in passed_by:
         console.complain(f"{passed.folder}: {'failed' if passed.failed else 'waiting'}: {passed.message}")
-    print(
+    console.say(
         f"{len(planned)} artworks, {sum(len(one.candidate.tiles) for one in planned)} tiles, about {duration(total)}"
     )
 

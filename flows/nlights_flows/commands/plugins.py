@@ -41,14 +41,12 @@ def _by_default(context: typer.Context, schema: Schema = False) -> None:
 
 def list_(schema: Schema = False) -> None:
     """List the algorithms that are installed, by slot, with the distribution they come from."""
-    import json
-
     from nlights_core.recipe import recipe_schema
     from nlights_core.registry import installed
     from nlights_flows.tiles import console
 
     if schema:
-        print(json.dumps(recipe_schema(), indent=1))
+        console.say_json(recipe_schema())
     else:
         console.show_plugins(installed())
 
@@ -67,12 +65,13 @@ def new(
     Its tests pass at once.  Nothing is ever overwritten.
     """
     from nlights_flows.plugin_kit.distributions import begin
+    from nlights_flows.tiles.streams import say
 
     folder = begin(name, kind.value, out)
     module = folder.name.replace("-", "_")
-    print(f"{folder}: the algorithm is in {module}.py, its contract in test_{module}.py; next:")
-    print(f"    pip install -e {folder}")
-    print(f"    pytest {folder}")
+    say(f"{folder}: the algorithm is in {module}.py, its contract in test_{module}.py; next:")
+    say(f"    pip install -e {folder}")
+    say(f"    pytest {folder}")
 
 
 def check(
@@ -95,7 +94,6 @@ def check(
 
     Options have their default values.  Exit codes: 0 all kept, 1 some broken.
     """
-    from rich.markup import escape
     from rich.table import Table
 
     from nlights_core.registry import installed
@@ -118,11 +116,13 @@ def check(
         said = "\n".join(found.broken) or found.unchecked or "kept"
         table.add_row(offer.algorithm.slot, offer.algorithm.name, offer.origin, said)
     for one in unusable:
-        table.add_row("", "", one.origin, escape(one.why))
+        table.add_row("", "", one.origin, one.why)
     broken += len(unusable)
     if table.rows:
         console.show_table(table)
-        print(f"{broken} of {len(table.rows)} break their contract" if broken else "no contract is broken")
+        console.say(
+            f"{broken} of {len(table.rows)} break their contract" if broken else "no contract is broken"
+        )
     else:
-        print("no plugins are installed besides what nLights ships (see them with --all)")
+        console.say("no plugins are installed besides what nLights ships (see them with --all)")
     raise typer.Exit(1 if broken else 0)

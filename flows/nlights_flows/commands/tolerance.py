@@ -69,9 +69,9 @@ def tolerance(
         )
     promise = tolerance_plots.describe_tolerance(found)
     for line in (*tolerance_plots.table(found), "", *promise, "", *found.notes):
-        print(line)
+        console.say(line)
     for path in tolerance_plots.write(found, out):
-        print(path)
+        console.say(path)
 
 
 def register(app: typer.Typer) -> None:

@@ -13,9 +13,9 @@ from types import TracebackType
 from typing import Any
 
 from rich.console import Console
-from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
+from rich.text import Text
 
 from nlights_core.capture import Tile
 from nlights_core.capture_warnings import read_warnings
@@ -23,6 +23,7 @@ from nlights_core.errors import CaptureError
 from nlights_core.machine import compilation
 from nlights_core.machine.compilation import Compilation
 from nlights_core.machine.progress import noting
+from nlights_core.names.control_characters import escape_controls
 from nlights_core.recipe import Recipe
 from nlights_core.registry import Registry
 from nlights_core.report.figures import NOT_MEASURED
@@ -30,25 +31,44 @@ from nlights_flows.tiles.chain import steps
 from nlights_flows.tiles.checking import Finding
 from nlights_flows.tiles.planning import Step
 from nlights_flows.tiles.running import Outcome
+from nlights_flows.tiles.streams import complain as complain
+from nlights_flows.tiles.streams import say as say
+from nlights_flows.tiles.streams import say_json as say_json
 
 COMPILING = "compiling loops, once per machine"
 
-console = Console(highlight=False, soft_wrap=False)
+
+class _Console(Console):
+    """Console that shows control characters as what they are; a name is no markup and no picture."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(highlight=False, emoji=False, markup=False, **options)
+
+    def render_str(self, text: str, **options: Any) -> Text:
+        return super().render_str(escape_controls(text), **options)
 
 
-def complain(sentence: str) -> None:
-    """Print a fault to the standard error."""
-    print(sentence, file=sys.stderr)
+console = _Console(soft_wrap=False)
 
 
 def _columns() -> tuple[Any, ...]:
-    return TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn()
+    return (
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeElapsedColumn(),
+    )
+
+
+def _bars() -> Progress:
+    """Progress bars on the standard error."""
+    return Progress(*_columns(), console=_Console(stderr=True), transient=True)
 
 
 @contextmanager
 def progress_bar(what: str) -> Iterator[Callable[[float], None]]:
     """Show one long step; yields a function to tell the share done."""
-    with Progress(*_columns(), console=Console(stderr=True), transient=True) as progress:
+    with _bars() as progress:
         task = progress.add_task(what, total=1.0)
         yield lambda share: progress.update(task, completed=share)
 
@@ -56,7 +76,7 @@ def progress_bar(what: str) -> Iterator[Callable[[float], None]]:
 @contextmanager
 def compiling_bar() -> Iterator[Callable[[float, int], None]]:
     """Show how far compiling is; yields a function to tell the share done and how many loops were compiled."""
-    with Progress(*_columns(), console=Console(stderr=True), transient=True) as progress:
+    with _bars() as progress:
         task = progress.add_task("compiling loops, once per machine", total=1.0)
 
         def tell(share: float, count: int) -> None:
@@ -78,7 +98,7 @@ class TileProgress:
 
     def __init__(self, recipe: Recipe, tiles: Sequence[Tile], shown: bool = True) -> None:
         self._steps, self._tiles = steps(recipe, any(tile.auto_mask for tile in tiles)), len(tiles)
-        self._progress = Progress(*_columns(), console=Console(stderr=True), transient=True)
+        self._progress = _bars()
         self._live = shown and _has_bars(self._progress.console)
         self._lines = shown and not self._live
         self._all = self._progress.add_task(f"tile 1 of {self._tiles}", total=self._steps * self._tiles)
@@ -100,16 +120,14 @@ class TileProgress:
         if self._live:
             self._progress.console.print(sentence, markup=False, highlight=False)
         elif self._lines:
-            print(sentence, file=sys.stderr, flush=True)
+            complain(sentence)
 
     def _compiles(self, so_far: Compilation) -> None:
         """Say why the first painting takes longer, and once that the second will too."""
         if self._compiling is None:
             self._compiling = self._progress.add_task(COMPILING, total=None)
             if self._lines:
-                print(
-                    f"{COMPILING} (`nlights doctor --warm` does it beforehand)", file=sys.stderr, flush=True
-                )
+                complain(f"{COMPILING} (`nlights doctor --warm` does it beforehand)")
         self._progress.update(self._compiling, description=f"{COMPILING}: {len(so_far.names)}")
         if so_far.lost and not self._lost:
             self._lost = True
@@ -120,7 +138,7 @@ class TileProgress:
     ) -> None:
         self._listening.close()
         if self._lines and self._compiling is not None:
-            print(f"compiled {len(compilation.so_far().names)} loops", file=sys.stderr, flush=True)
+            complain(f"compiled {len(compilation.so_far().names)} loops")
         if self._live:
             self._progress.stop()
 
@@ -131,10 +149,8 @@ class TileProgress:
         if share == 1.0:
             self._done += 1
             if self._lines:
-                print(
-                    f"{tile}: {stage}: {time.monotonic() - self._started:.1f} s", file=sys.stderr, flush=True
-                )
-        self._progress.update(self._stage, description=f"{tile}: {stage}", completed=share)
+                complain(f"{tile}: {stage}: {time.monotonic() - self._started:.1f} s")
+        self._progress.update(self._stage, description=escape_controls(f"{tile}: {stage}"), completed=share)
         self._progress.update(self._all, completed=self._done + (share if share < 1 else 0))
 
     def tile_done(self, outcome: Outcome) -> None:
@@ -153,7 +169,7 @@ def show_outcomes(outcomes: Sequence[Outcome]) -> None:
             complain(f"{name}: failed: {outcome.message}")
         else:
             said = "unchanged" if outcome.state == "unchanged" else f"done in {outcome.seconds:.1f} s"
-            print(f"{name}: {said}: {outcome.folder}/report.html")
+            say(f"{name}: {said}: {outcome.folder}/report.html")
             for note in outcome.notes:
                 complain(f"{name}: note: {note}")
             for warning in warnings_of(outcome):
@@ -180,14 +196,14 @@ def show_facts(facts: Sequence[tuple[str, str]]) -> None:
 
 def show_plan(tile: Tile, plan: Sequence[Step]) -> None:
     """Print the stages of a tile."""
-    table = Table(title=escape(f"{tile.artwork}/{tile.name}"), title_justify="left", box=None, pad_edge=False)
+    table = Table(title=f"{tile.artwork}/{tile.name}", title_justify="left", box=None, pad_edge=False)
     for heading in ("stage", "artefact", "", "why"):
         table.add_column(heading, no_wrap=heading != "why")
     for step in plan:
         table.add_row(step.ref.stage, step.ref.key[:12], "exists" if step.exists else "to be made", step.why)
     missing = sum(not step.exists for step in plan)
     _wide().print(table)
-    print(f"{missing} of {len(plan)} stages to be made")
+    say(f"{missing} of {len(plan)} stages to be made")
 
 
 def show_findings(findings: Sequence[Finding]) -> None:
@@ -199,7 +215,7 @@ def show_findings(findings: Sequence[Finding]) -> None:
         for lamp, exposure in finding.exposures.items():
             count = max(exposure.pixels, 1)
             table.add_row(
-                escape(lamp), f"{100 * exposure.total / count:.2f}", f"{100 * exposure.saturated / count:.3f}"
+                lamp, f"{100 * exposure.total / count:.2f}", f"{100 * exposure.saturated / count:.3f}"
             )
         _wide().print(table)
         for warning in finding.warnings:
@@ -208,13 +224,13 @@ def show_findings(findings: Sequence[Finding]) -> None:
         for problem in finding.problems:
             complain(f"{finding.tile}: {problem}")
         if finding.proposal:
-            print(f"{finding.tile}: {finding.proposal}")
-        print(f"{finding.tile}: {'cannot be digitised' if finding.problems else 'can be digitised'}")
+            say(f"{finding.tile}: {finding.proposal}")
+        say(f"{finding.tile}: {'cannot be digitised' if finding.problems else 'can be digitised'}")
 
 
 def print_findings(findings: Sequence[Finding]) -> None:
     """Print what a check found as JSON, for programs."""
-    print(json.dumps({"tiles": [finding.record() for finding in findings]}, indent=1))
+    say_json({"tiles": [finding.record() for finding in findings]})
 
 
 def show_plugins(registry: Registry) -> None:
@@ -226,14 +242,14 @@ def show_plugins(registry: Registry) -> None:
         sentence = (offer.algorithm.__doc__ or "").strip().split("\n")[0]
         table.add_row(offer.algorithm.slot, offer.algorithm.name, offer.origin, sentence)
     for plugin in registry.broken:
-        table.add_row("broken", "", plugin.origin, escape(plugin.why))
+        table.add_row("broken", "", plugin.origin, plugin.why)
     _wide().print(table)
 
 
 def show_evaluation(result: Mapping[str, float | None]) -> None:
     """Print an evaluation, a number a line; None is not measured."""
     for name, value in result.items():
-        print(f"{name}: {NOT_MEASURED if value is None else format(value, '.6g')}")
+        say(f"{name}: {NOT_MEASURED if value is None else format(value, '.6g')}")
 
 
 def show_numbers(folders: Sequence[Path]) -> None:
@@ -261,10 +277,10 @@ def show_numbers(folders: Sequence[Path]) -> None:
     names = dict.fromkeys((row["group"], row["name"], row["unit"]) for rows in numbers for row in rows)
     by_name = [{(row["group"], row["name"], row["unit"]): row for row in rows} for rows in numbers]
     for name in names:
-        table.add_row(*map(escape, name), *(_value(rows.get(name)) for rows in by_name))
+        table.add_row(*name, *(_value(rows.get(name)) for rows in by_name))
     _wide().print(table)
     for tile in tiles:
-        print(tile / "report.html")
+        say(tile / "report.html")
 
 
 def _is_product(path: Path, folder: Path) -> bool:
@@ -285,4 +301,4 @@ def show_table(table: Table) -> None:
 
 def _wide() -> Console:
     """A console that does not cut tables when its output goes to a file."""
-    return console if console.is_terminal else Console(highlight=False, width=160)
+    return console if console.is_terminal else _Console(width=160)

@@ -16,9 +16,12 @@ def template(path: Path) -> jinja2.Template:
     """Open a page's template, a file beside its module: what is put in is escaped, and what it lacks is a fault."""
     import jinja2
 
+    from nlights_core.names.control_characters import shown_escaped
+
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(path.parent),
         autoescape=True,
+        finalize=shown_escaped,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
