@@ -10,6 +10,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from nlights_core.errors import TileError
 from nlights_core.machine.progress import note
 
 FILE = "warnings.json"
@@ -52,14 +53,26 @@ def write_warnings(folder: Path, found: Sequence[CaptureWarning]) -> None:
 
 
 def read_warnings(folder: Path) -> list[CaptureWarning]:
-    """Read what `write_warnings` wrote; an empty list where there is no such file."""
+    """Read what `write_warnings` wrote; an empty list where there is no such file.
+
+    Raises
+    ------
+    TileError
+        When the file holds something else: nothing is known of warnings then.
+    """
     path = folder / FILE
     if not path.is_file():
         return []
-    return [
-        CaptureWarning(**{**record, "lamps": tuple(record["lamps"])})
-        for record in json.loads(path.read_text(encoding="utf-8"))
-    ]
+    try:
+        return [
+            CaptureWarning(**{**record, "lamps": tuple(record["lamps"]), "sentence": str(record["sentence"])})
+            for record in json.loads(path.read_text(encoding="utf-8"))
+        ]
+    except (OSError, ValueError, TypeError, KeyError, RecursionError) as fault:
+        raise TileError(
+            f"{path}: is damaged ({type(fault).__name__}: {fault}), so that nobody knows what it warned of; see "
+            "`nlights verify`, or digitise the artwork again"
+        ) from None
 
 
 _gathered: ContextVar[list[CaptureWarning] | None] = ContextVar("_gathered", default=None)

@@ -16,6 +16,7 @@ from nlights_flows.commands import doctor as doctor_command
 from nlights_flows.commands import init as init_command
 from nlights_flows.commands import nightly as nightly_command
 from nlights_flows.commands import plugins as plugin_commands
+from nlights_flows.commands import review as review_command
 from nlights_flows.commands import tolerance as tolerance_command
 from nlights_flows.commands import upkeep as upkeep_commands
 from nlights_flows.commands.interrupts import INTERRUPTED, SENTENCE, heed
@@ -257,10 +258,13 @@ def report(
         typer.Argument(metavar="DIR...", help="Product folders of tiles, or folders that hold some."),
     ],
 ) -> None:
-    """Print the quality numbers of tiles side by side, with their units."""
+    """Print the quality numbers of tiles side by side, with their units.
+
+    Exit codes: 0 all are shown; 1 those of some tiles are damaged and left out; 2 none is shown.
+    """
     from nlights_flows.tiles import console
 
-    console.show_numbers(folders)
+    raise typer.Exit(1 if console.show_numbers(folders) else 0)
 
 
 @app.command()
@@ -292,6 +296,7 @@ def evaluate(
 init_command.register(app)
 compare_command.register(app)
 nightly_command.register(app)
+review_command.register(app)
 plugin_commands.register(app)
 tolerance_command.register(app)
 upkeep_commands.register(app)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -53,6 +54,15 @@ def nightly(
             help="How long a folder without the file upload-complete must have been quiet.",
         ),
     ] = 300.0,
+    notify: Annotated[
+        str | None,
+        typer.Option(
+            "--notify",
+            metavar="URL",
+            help="Web hook that is told at the end: sentence, counts, address of the page. Better in the variable "
+            "NLIGHTS_NOTIFY, since it is a secret.",
+        ),
+    ] = None,
     compression: CompressionOption = Compression.NONE,
     copy: Copy = False,
     timeout: Timeout = None,
@@ -71,15 +81,18 @@ def nightly(
     own tile or artwork; what is left is taken up by the next night.
     """
     given = locals()
+    from nlights_flows.nights.notifying import take_address
     from nlights_flows.nights.order import Order, check_order
     from nlights_flows.tiles import environment
     from nlights_flows.tiles.run_options import RunOptions
+    from nlights_flows.tiles.streams import outlive_listener
 
     options = RunOptions.of(given)
-    order = Order(inbox, options, until, limits, settle)
+    order = Order(inbox, options, until, limits, settle, take_address(notify))
     if plan:
         _show_plan(order)
         return
+    outlive_listener()
     check_order(order)  # a misspelt recipe need not wait for Prefect
     if prefect or environment.api_configured():
         _run_flow(order)
@@ -94,8 +107,11 @@ def nightly(
 
 def _run_flow(order: Order) -> None:
     """Run the night as a flow, and end the command with its exit code."""
+    from nlights_flows.nights.notifying import VARIABLE
     from nlights_flows.tiles import environment
 
+    if order.notify:  # the flow takes it from there, and no server sees it
+        os.environ[VARIABLE] = order.notify
     with environment.prefect_at_hand():
         from nlights_flows.nights.nightly import nightly as flow
 

@@ -11,6 +11,7 @@ from prefect import flow
 from prefect.artifacts import create_markdown_artifact
 from prefect.states import Completed, Failed
 
+from nlights_flows.nights.notifying import take_address
 from nlights_flows.nights.order import Batch, Order
 from nlights_flows.nights.pictures import thumbnail
 from nlights_flows.nights.record import PAGE, night_exit_code
@@ -77,7 +78,8 @@ def nightly(
         Completed, or Failed when an artwork or tile failed; both carry "record" (what ``night.json``
         holds) and "exit_code" as their data.
     """
-    order = Order(Path(inbox), RunOptions.of(locals()), until, limits, settle)
+    # The address of a web hook is a secret, and parameters stand in Prefect's pages.
+    order = Order(Path(inbox), RunOptions.of(locals()), until, limits, settle, take_address(None))
     outlive_reader()
     with elsewhere(order) as (order, at_once):
         record = run_night(order, run_as_subflow, at_once)

@@ -1,13 +1,21 @@
-"""The quality numbers of a tile, held against the limits."""
+"""What a tile's products say: its quality numbers, held against the limits, its warnings, what people decided."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from nlights_core.capture_warnings import CaptureWarning, read_warnings
+from nlights_core.errors import NlightsError
+from nlights_flows.nights.decisions import reviewed
 from nlights_flows.nights.limits import VERDICTS, Limits
+from nlights_flows.nights.record import TileEntry
+from nlights_flows.nights.trends import measured
+from nlights_flows.tiles.records import read_provenance, read_quality
+
+DAMAGED = "damaged-record"
+"""Code of the warning that a file among the products is not what nLights wrote."""
 
 
 def numbers_of(products: Path, limits: Limits) -> tuple[list[dict[str, Any]], str | None, float | None]:
@@ -27,13 +35,37 @@ def numbers_of(products: Path, limits: Limits) -> tuple[list[dict[str, Any]], st
         The worst of them; None where none was measured.
     megapixels : float or None
         Size of the products.
+
+    Raises
+    ------
+    CaptureError
+        When ``quality.json`` is damaged.
     """
-    try:
-        rows = json.loads((products / "quality.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return [], None, None
-    judged = limits.judged(rows)
+    judged = limits.judged(read_quality(products))
     return judged, _worst([row["verdict"] for row in judged]), _megapixels(products / "height.tif")
+
+
+def look_at_products(entry: TileEntry, products: Path, limits: Limits) -> None:
+    """Enter what a tile's products say of themselves, and people of them; what is damaged is a warning."""
+    entry.warnings = []
+    faults = []
+    try:
+        entry.numbers, entry.verdict, size = numbers_of(products, limits)
+        entry.megapixels = entry.megapixels or size
+    except NlightsError as fault:
+        faults.append(str(fault))
+    try:
+        entry.warnings = [warning.record() for warning in read_warnings(products)]
+    except NlightsError as fault:
+        faults.append(str(fault))
+    try:
+        read_provenance(products)
+    except NlightsError as fault:
+        faults.append(str(fault))
+    entry.measured = measured(products)
+    entry.review, fault_of_review = reviewed(products)
+    faults += [fault_of_review] * bool(fault_of_review and fault_of_review not in faults)
+    entry.warnings += [CaptureWarning(DAMAGED, said).record() for said in faults]
 
 
 def _worst(found: Sequence[str | None]) -> str | None:

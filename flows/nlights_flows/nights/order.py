@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from nlights_core.capture import Tile
@@ -12,6 +12,7 @@ from nlights_core.recipe import Recipe, load_recipe
 from nlights_core.store import Store
 from nlights_flows.nights.estimates import Deadline
 from nlights_flows.nights.limits import Limits, load_limits
+from nlights_flows.nights.notifying import Hook, read_hook
 from nlights_flows.tiles.run_options import RunOptions
 from nlights_flows.tiles.running import Around
 
@@ -30,6 +31,8 @@ class Order:
     limits : str
     settle : float
         Seconds.
+    notify : str or None
+        Address of a web hook that is told at the end; secret.
     """
 
     inbox: Path
@@ -37,16 +40,18 @@ class Order:
     until: str | None = None
     limits: str = "default"
     settle: float = 300.0
+    notify: str | None = field(default=None, repr=False)
 
 
 @dataclass(frozen=True)
 class Checked:
-    """An order whose recipe, limits and time were read."""
+    """An order whose recipe, limits, time and web hook were read."""
 
     order: Order
     recipe: Recipe
     limits: Limits
     deadline: Deadline
+    hook: Hook | None = None
 
     @property
     def options(self) -> RunOptions:
@@ -87,7 +92,7 @@ takes down what became of it; it may be called from several threads.  What is re
 
 
 def check_order(order: Order) -> Checked:
-    """Read recipe, limits and time.
+    """Read recipe, limits, time and web hook.
 
     Raises
     ------
@@ -102,4 +107,5 @@ def check_order(order: Order) -> Checked:
         load_recipe(order.options.recipe),
         load_limits(order.limits),
         Deadline.of(order.until),
+        read_hook(order.notify) if order.notify else None,
     )

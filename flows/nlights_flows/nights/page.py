@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ from nlights_core import __version__
 from nlights_core.report.figures import figure_of
 from nlights_core.store import write_whole
 from nlights_flows.nights.charts import HEIGHT, WIDTH, chart, newly_outside
+from nlights_flows.nights.decisions import describe_decision, standing
 from nlights_flows.nights.estimates import format_bytes
 from nlights_flows.nights.limits import VERDICTS
 from nlights_flows.nights.pictures import thumbnail
@@ -55,6 +56,10 @@ def _shown(record: NightRecord, out: Path) -> dict[str, Any]:
                 drawn += 1
                 tile["picture"] = thumbnail(out / tile["products"], out, draw=tile["state"] == "done")
             tile["numbers"] = number_rows(tile["numbers"])
+            tile["decided"] = [
+                (one["decision"] if one["counts"] else "former", describe_decision(one))
+                for one in tile["review"]
+            ]
     artworks = data["artworks"]
     return {
         "record": data,
@@ -64,6 +69,9 @@ def _shown(record: NightRecord, out: Path) -> dict[str, Any]:
         "failures": [a for a in artworks if a["state"] == "failed"],
         "doubts": doubts(artworks),
         "beyond": beyond(artworks),
+        "older": older(artworks),
+        "repeats": decided(artworks, "repeat"),
+        "accepted": decided(artworks, "accept"),
         "moved": moved(data),
         "left": [
             (a, [t for t in a["tiles"] if t["state"] in ("left", "claimed elsewhere")])
@@ -125,39 +133,68 @@ def _allowed(row: Mapping[str, Any]) -> str:
 
 
 def doubts(artworks: Sequence[Mapping[str, Any]]) -> list[tuple[str, str, str, str]]:
-    """Warnings about captures of this night: artwork, tile, link, sentence."""
+    """Warnings about captures of this night that nobody has decided on: artwork, tile, link, sentence."""
     return [
         (artwork["artwork"], tile["tile"], tile["link"], warning["sentence"])
-        for artwork in artworks
-        for tile in artwork["tiles"]
-        if tile["state"] == "done"
+        for artwork, tile in _undecided(artworks, "done")
         for warning in tile["warnings"]
     ]
 
 
 def beyond(artworks: Sequence[Mapping[str, Any]]) -> list[tuple[str, str, str, dict[str, Any]]]:
-    """Numbers that are not within their limits: artwork, tile, link, number; the worst first."""
+    """Numbers not within their limits that nobody has decided on: artwork, tile, link, number; the worst first."""
     found = [
         (artwork["artwork"], tile["tile"], tile["link"], row)
-        for artwork in artworks
-        for tile in artwork["tiles"]
-        if tile["state"] == "done"
+        for artwork, tile in _undecided(artworks, "done")
         for row in tile["numbers"]
         if row["verdict"] in ("warn", "fail")
     ]
     return sorted(found, key=lambda one: -VERDICTS.index(one[3]["verdict"]))
 
 
+def older(artworks: Sequence[Mapping[str, Any]]) -> list[tuple[str, str, str, str]]:
+    """Tiles of nights before that still wait for a decision: artwork, tile, link, what is to be looked at."""
+    found = []
+    for artwork, tile in _undecided(artworks, "unchanged"):
+        bad = sum(row["verdict"] in ("warn", "fail") for row in tile["numbers"])
+        parts = [f"{bad} number{'s' * (bad != 1)} not within limits"] if bad else []
+        parts += [warning["sentence"] for warning in tile["warnings"]]
+        if parts:
+            found.append((artwork["artwork"], tile["tile"], tile["link"], "; ".join(parts)))
+    return found
+
+
+def decided(artworks: Sequence[Mapping[str, Any]], choice: str) -> list[tuple[str, str, str, str]]:
+    """Tiles about which people have decided so: artwork, tile, link, sentence."""
+    return [
+        (artwork["artwork"], tile["tile"], tile["link"], describe_decision(one))
+        for artwork in artworks
+        for tile in artwork["tiles"]
+        if (one := standing(tile["review"])) and one["decision"] == choice
+    ]
+
+
+def _undecided(artworks: Sequence[Mapping[str, Any]], state: str) -> Iterator[tuple[Any, Any]]:
+    return (
+        (artwork, tile)
+        for artwork in artworks
+        for tile in artwork["tiles"]
+        if tile["state"] == state and not standing(tile["review"])
+    )
+
+
 def mood(data: Mapping[str, Any]) -> str:
     """Mood of the night, as the colour of its heading: "bad", "open" or "good"."""
     states = {artwork["state"] for artwork in data["artworks"]}
-    verdicts = {tile["verdict"] for artwork in data["artworks"] for tile in artwork["tiles"]}
+    tiles = [tile for artwork in data["artworks"] for tile in artwork["tiles"]]
+    verdicts = {tile["verdict"] for tile in tiles if not standing(tile["review"])}
     if "failed" in states or "fail" in verdicts:
         return "bad"
     unfinished = states & {"left", "waiting", "claimed elsewhere"}
     artworks = data["artworks"]
-    noted = any(tile["notes"] for artwork in artworks for tile in artwork["tiles"])
-    watched = unfinished or noted or "warn" in verdicts or doubts(artworks) or moved(data)
+    noted = any(tile["notes"] for tile in tiles)
+    waits = doubts(artworks) or older(artworks) or decided(artworks, "repeat")
+    watched = unfinished or noted or "warn" in verdicts or waits or moved(data)
     return "open" if watched else "good"
 
 
@@ -200,6 +237,7 @@ def _facts(data: Mapping[str, Any]) -> list[tuple[str, str]]:
         if estimate
         else "not known"
     )
+    told = data["notified"]
     return [
         ("Night", data["name"]),
         ("Ran", ran),
@@ -208,4 +246,5 @@ def _facts(data: Mapping[str, Any]) -> list[tuple[str, str]]:
         ("Products", data["out"]),
         ("Recipe", data["recipe"]),
         ("A tile takes", per),
+        *([("Told of this night", told["host"])] if told and told["told"] else []),
     ]

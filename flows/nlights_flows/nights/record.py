@@ -13,7 +13,9 @@ from typing import Any, Literal
 
 from nlights_core import __version__
 from nlights_core.store import write_whole
+from nlights_flows.nights.decisions import reviewed, standing
 from nlights_flows.nights.inbox import NIGHTS
+from nlights_flows.tiles.records import damaged, read_json
 
 SCHEMA = 1
 """Raised when a field changes its meaning or goes."""
@@ -56,6 +58,8 @@ class TileEntry:
         What was done and may not be expected: products of other photographs that were kept.
     measured : dict or None
         What the trends follow: "stand", "flats" (digest of the flat set), "numbers" (by name).
+    review : list of dict
+        What people decided, see `nlights_flows.nights.decisions.reviewed`.
     """
 
     tile: str
@@ -69,6 +73,7 @@ class TileEntry:
     products: str | None = None
     notes: list[str] = field(default_factory=list)
     measured: dict[str, Any] | None = None
+    review: list[dict[str, Any]] = field(default_factory=list)
 
 
 @dataclass
@@ -126,6 +131,7 @@ class NightRecord:
     limits: list[dict[str, Any]] = field(default_factory=list)
     trends: list[dict[str, Any]] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    notified: dict[str, Any] | None = None
 
     @property
     def tiles(self) -> Iterator[TileEntry]:
@@ -172,11 +178,15 @@ def summarise_night(record: NightRecord) -> str:
         parts.append(f"{_count(elsewhere, 'tile')} at work elsewhere")
     if states["waiting"]:
         parts.append(f"{_count(states['waiting'], 'folder')} waiting")
-    if warned := sum(bool(tile.warnings) for tile in record.tiles if tile.state == "done"):
+    decided = [standing(tile.review) for tile in record.tiles]
+    open_tiles = [tile for tile, one in zip(record.tiles, decided, strict=True) if one is None]
+    if warned := sum(bool(tile.warnings) for tile in open_tiles if tile.state == "done"):
         parts.append(f"{_count(warned, 'tile')} with a warning")
     for word, said in (("fail", "beyond a limit"), ("warn", "to be watched")):
-        if bad := sum(tile.verdict == word for tile in record.tiles if tile.state != "failed"):
+        if bad := sum(tile.verdict == word for tile in open_tiles if tile.state != "failed"):
             parts.append(f"{_count(bad, 'tile')} {said}")
+    if again := sum(one["decision"] == "repeat" for one in decided if one):
+        parts.append(f"{_count(again, 'tile')} to be photographed again")
     return ", ".join(parts)
 
 
@@ -216,3 +226,31 @@ def write_record(record: NightRecord, folder: Path, out: Path) -> None:
     text = json.dumps(record.as_json(), indent=1, ensure_ascii=False) + "\n"
     for place in (folder, out):
         write_whole(place / RECORD, text)
+
+
+def take_in_decisions(record: NightRecord, out: Path) -> None:
+    """Enter what people have decided by now about the tiles of a night."""
+    for tile in record.tiles:
+        if tile.products:
+            tile.review, _ = reviewed(out / tile.products)
+
+
+def read_night(out: Path) -> NightRecord:
+    """Read the record of the newest night of an output folder.
+
+    Raises
+    ------
+    CaptureError
+        When it is damaged, or of another version of nLights.
+    """
+    path = out / RECORD
+    found = read_json(path)
+    try:
+        known = {key: value for key, value in found.items() if key in NightRecord.__dataclass_fields__}
+        known["artworks"] = [
+            ArtworkEntry(**{**artwork, "tiles": [TileEntry(**tile) for tile in artwork["tiles"]]})
+            for artwork in found["artworks"]
+        ]
+        return NightRecord(**known)
+    except (TypeError, KeyError, AttributeError) as fault:
+        raise damaged(path, f"{type(fault).__name__}: {fault}") from None

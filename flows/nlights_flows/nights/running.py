@@ -11,10 +11,8 @@ from contextvars import copy_context
 from dataclasses import asdict, replace
 from datetime import datetime
 from functools import partial
-from pathlib import Path
 
 from nlights_core.capture import Tile
-from nlights_core.capture_warnings import read_warnings
 from nlights_core.errors import NlightsError
 from nlights_core.names.artworks import require_own_folder
 from nlights_core.names.odd_names import shown
@@ -26,7 +24,8 @@ from nlights_flows.nights.earlier import TIMED, earlier_nights
 from nlights_flows.nights.estimates import learn_estimate, require_disk
 from nlights_flows.nights.inbox import Candidate, Inbox, require_inbox, scan
 from nlights_flows.nights.leftovers import clear_leftovers
-from nlights_flows.nights.numbers import numbers_of
+from nlights_flows.nights.notifying import Hook, notify
+from nlights_flows.nights.numbers import look_at_products
 from nlights_flows.nights.order import Batch, Checked, Order, RunArtwork, check_order
 from nlights_flows.nights.page import write_pages
 from nlights_flows.nights.record import (
@@ -35,9 +34,10 @@ from nlights_flows.nights.record import (
     NightRecord,
     TileEntry,
     new_night,
+    take_in_decisions,
     write_record,
 )
-from nlights_flows.nights.trends import captures_of, measured, trends
+from nlights_flows.nights.trends import captures_of, trends
 from nlights_flows.tiles import console, dask_runner
 from nlights_flows.tiles.explaining import explain_fault
 from nlights_flows.tiles.preparing import make_folders
@@ -168,7 +168,17 @@ class Night:
         self._wait_for_others()
         self.record.ended = datetime.now().astimezone().isoformat(timespec="seconds")
         self._write(last=True)
+        if self.night.hook:  # after the page, which whoever is told opens
+            self._tell(self.night.hook)
+            self._write(last=True)
         return self.record
+
+    def _tell(self, hook: Hook) -> None:
+        """Tell somebody of the night; that it failed is said, and changes nothing else."""
+        self.record.notified = told = notify(self.record, hook)
+        if not told["told"]:
+            console.complain(told["message"])
+            self.record.notes.append(told["message"])
 
     def _run_all(self, entries: list[tuple[Candidate, ArtworkEntry]]) -> None:
         """Run artworks in their order, ``at_once`` of them at the same time."""
@@ -307,26 +317,11 @@ class Night:
             one.seconds = round(outcome.seconds, 2)
             if outcome.folder is not None:
                 one.products = outcome.folder.relative_to(self.night.order.options.out).as_posix()
-                size = self._read_numbers(one, outcome.folder)
-                one.megapixels = one.megapixels or size
+                look_at_products(one, outcome.folder, self.night.limits)
             if outcome.state == "done" and one.megapixels:
                 self._timed = [(one.megapixels, outcome.seconds), *self._timed][:TIMED]
                 self._estimate = learn_estimate(self._timed)
         return outcome
-
-    def _read_numbers(self, one: TileEntry, folder: Path) -> float | None:
-        """Enter what products say of themselves; their megapixels.  Damaged records are told, and end nothing."""
-        try:
-            one.measured = measured(folder)
-            one.numbers, one.verdict, size = numbers_of(folder, self.night.limits)
-            one.warnings = [warning.record() for warning in read_warnings(folder)]
-        except Exception as fault:
-            said = f"{type(fault).__name__}: {fault}"
-            one.notes.append(
-                f"quality.json, provenance.json or warnings.json in {folder} is damaged ({said})"
-            )
-            return None
-        return size
 
     def _give_up(self, tiles: list[Tile], message: str) -> None:
         for tile in tiles:
@@ -364,8 +359,10 @@ class Night:
             if not last and self._writing > QUICK + SHARE * (began - self._began):
                 return
             record, out = self.record, self.night.order.options.out
-            record.seconds = round(time.monotonic() - self._began, 1)
+            if record.notified is None:  # that a hook keeps us waiting is not the night's work
+                record.seconds = round(time.monotonic() - self._began, 1)
             record.estimate = asdict(self._estimate)
+            take_in_decisions(record, out)
             record.trends = trends((*captures_of(record.as_json()), *self._earlier.captures))
             try:
                 write_record(record, self.folder, out)

@@ -11,7 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from nlights_core.errors import NlightsError
 from nlights_core.report.flat_quality import LEVEL, NOISE
+from nlights_flows.tiles.records import read_provenance, read_quality
 
 CAPTURES = 30
 """Of a stand, so many of the newest captures are shown."""
@@ -38,12 +40,13 @@ def measured(products: Path) -> dict[str, Any] | None:
         photographed flat.
     """
     try:
-        provenance = json.loads((products / "provenance.json").read_text(encoding="utf-8"))
-        rows = json.loads((products / "quality.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        provenance, rows = read_provenance(products), read_quality(products)
+        stand = (provenance.get("stand") or {}).get("name")
+        flats = next(
+            (s["facts"].get("flats") for s in provenance["stages"] if s["stage"] == "flat_field"), None
+        )
+    except (NlightsError, KeyError, TypeError, AttributeError):  # damaged, which is told with its numbers
         return None
-    stand = (provenance.get("stand") or {}).get("name")
-    flats = next((s["facts"].get("flats") for s in provenance["stages"] if s["stage"] == "flat_field"), None)
     if not stand or not flats:
         return None
     digest = hashlib.sha256(json.dumps(flats, sort_keys=True).encode()).hexdigest()[:12]

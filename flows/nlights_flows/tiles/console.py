@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -19,7 +18,7 @@ from rich.text import Text
 
 from nlights_core.capture import Tile
 from nlights_core.capture_warnings import read_warnings
-from nlights_core.errors import CaptureError
+from nlights_core.errors import CaptureError, NlightsError
 from nlights_core.machine import compilation
 from nlights_core.machine.compilation import Compilation
 from nlights_core.machine.progress import noting
@@ -30,6 +29,7 @@ from nlights_core.report.figures import NOT_MEASURED
 from nlights_flows.tiles.chain import steps
 from nlights_flows.tiles.checking import Finding
 from nlights_flows.tiles.planning import Step
+from nlights_flows.tiles.records import QUALITY, read_quality
 from nlights_flows.tiles.running import Outcome
 from nlights_flows.tiles.streams import complain as complain
 from nlights_flows.tiles.streams import say as say
@@ -181,7 +181,10 @@ def show_outcomes(outcomes: Sequence[Outcome]) -> None:
 
 def warnings_of(outcome: Outcome) -> list[str]:
     """Warnings about a tile's capture, as sentences."""
-    return [warning.sentence for warning in read_warnings(outcome.folder)] if outcome.folder else []
+    try:
+        return [warning.sentence for warning in read_warnings(outcome.folder)] if outcome.folder else []
+    except NlightsError as fault:
+        return [str(fault)]
 
 
 def show_facts(facts: Sequence[tuple[str, str]]) -> None:
@@ -252,23 +255,37 @@ def show_evaluation(result: Mapping[str, float | None]) -> None:
         say(f"{name}: {NOT_MEASURED if value is None else format(value, '.6g')}")
 
 
-def show_numbers(folders: Sequence[Path]) -> None:
+def show_numbers(folders: Sequence[Path]) -> int:
     """Print the quality numbers of tiles side by side.
+
+    Returns
+    -------
+    int
+        How many tiles are left out since their numbers are damaged; each is told.
 
     Raises
     ------
     CaptureError
-        When a folder holds no products.
+        When a folder holds no products, or all are damaged.
     """
-    tiles: list[Path] = []
+    found: list[Path] = []
     for folder in folders:
-        found = sorted(path.parent for path in folder.glob("**/quality.json") if _is_product(path, folder))
-        if not found:
+        here = sorted(path.parent for path in folder.glob(f"**/{QUALITY}") if _is_product(path, folder))
+        if not here:
             raise CaptureError(
                 f"{folder}: holds no products (no quality.json); give an output folder of digitise"
             )
-        tiles += found
-    numbers = [json.loads((tile / "quality.json").read_text(encoding="utf-8")) for tile in tiles]
+        found += here
+    tiles, numbers = [], []
+    for tile in found:
+        try:
+            numbers.append(read_quality(tile))
+        except NlightsError as fault:
+            complain(fault)
+        else:
+            tiles.append(tile)
+    if not tiles:
+        raise CaptureError("no numbers can be shown")
     table = Table(box=None, pad_edge=False)
     for heading in ("group", "number", "unit"):
         table.add_column(heading)
@@ -281,6 +298,7 @@ def show_numbers(folders: Sequence[Path]) -> None:
     _wide().print(table)
     for tile in tiles:
         say(tile / "report.html")
+    return len(found) - len(tiles)
 
 
 def _is_product(path: Path, folder: Path) -> bool:

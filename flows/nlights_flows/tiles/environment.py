@@ -155,7 +155,10 @@ def alone(path: Path, patience: float = 300.0) -> Iterator[None]:
             import fcntl
 
             path.parent.mkdir(parents=True, exist_ok=True)
-            file = held.enter_context(path.open("a"))
+            try:
+                file = held.enter_context(path.open("a"))
+            except PermissionError:  # made by another account: to read it is enough for a lock of most disks
+                file = held.enter_context(path.open())
             until = time.monotonic() + patience
             while time.monotonic() < until:
                 try:
