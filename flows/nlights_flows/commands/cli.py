@@ -19,7 +19,7 @@ from nlights_flows.commands import plugins as plugin_commands
 from nlights_flows.commands import review as review_command
 from nlights_flows.commands import tolerance as tolerance_command
 from nlights_flows.commands import upkeep as upkeep_commands
-from nlights_flows.commands.interrupts import INTERRUPTED, SENTENCE, heed
+from nlights_flows.commands.interrupts import INTERRUPTED, SENTENCE, disregard, heed
 from nlights_flows.commands.options import (
     Address,
     Artwork,
@@ -323,6 +323,7 @@ def main() -> None:
         if not isinstance(fault.__context__, BrokenPipeError):
             raise
         code = _unread()
+    disregard()
     sys.exit(code)
 
 

@@ -16,6 +16,9 @@ INTERRUPTED = 130
 GRACE = 5.0
 """Seconds that a command has to end in order; an interrupt after that ends it at once."""
 
+PATIENCE = 20.0
+"""Seconds in which Python must have tidied up after a command that was interrupted."""
+
 AGAIN = 0.05
 """Seconds after which an interrupt is repeated that was lost where Python cannot raise it."""
 
@@ -57,6 +60,21 @@ def heed() -> None:
         threading.Timer(AGAIN, os.kill, (os.getpid(), signal.SIGINT)).start()
 
     sys.unraisablehook = repeat
+
+
+def disregard() -> None:
+    """Let no interrupt change the exit code of a command that has ended, while Python tidies up.
+
+    What a thread or a server of this process still does is waited for, but not for longer than
+    `PATIENCE` where an interrupt has come.
+    """
+    if signal.getsignal(signal.SIGINT) is not _heed:
+        return
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if _since is not None:
+        end = threading.Timer(PATIENCE, os._exit, (INTERRUPTED,))
+        end.daemon = True
+        end.start()
 
 
 def _heed(number: int, frame: FrameType | None) -> None:
