@@ -68,9 +68,9 @@ def read_warnings(folder: Path) -> list[CaptureWarning]:
             CaptureWarning(**{**record, "lamps": tuple(record["lamps"]), "sentence": str(record["sentence"])})
             for record in json.loads(path.read_text(encoding="utf-8"))
         ]
-    except (OSError, ValueError, TypeError, KeyError, RecursionError) as fault:
+    except (OSError, ValueError, TypeError, KeyError, RecursionError):
         raise TileError(
-            f"{path}: is damaged ({type(fault).__name__}: {fault}), so that nobody knows what it warned of; see "
+            f"{path}: is damaged (it is no list of warnings), so that nobody knows what it warned of; see "
             "`nlights verify`, or digitise the artwork again"
         ) from None
 

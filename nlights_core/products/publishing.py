@@ -207,7 +207,7 @@ def _photographs(folder: Path) -> frozenset[str]:
     try:
         stages = json.loads((folder / "provenance.json").read_text(encoding="utf-8"))["stages"]
         return frozenset(digest for one in stages for digest in (one["facts"].get("frames") or {}).values())
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return frozenset()
 
 

@@ -85,14 +85,15 @@ def read_decisions(products: Path) -> list[Decision]:
     path = products / FILE
     if not path.exists():
         return []
-    found = read_json(path)
+    remedy = "mend it, or move it away; nothing in it was changed"
+    found = read_json(path, remedy)
     try:
         decisions = [Decision(**one) for one in found["decisions"]]
-    except (TypeError, KeyError) as fault:
-        raise damaged(path, f"{type(fault).__name__}: {fault}") from None
+    except (TypeError, KeyError):
+        raise damaged(path, "it is no list of decisions", remedy) from None
     for one in decisions:
-        if one.decision not in WORDS or not all(isinstance(text, str) for text in asdict(one).values()):
-            raise damaged(path, "a decision is neither accept nor repeat, or lacks a word")
+        if not all(isinstance(text, str) for text in asdict(one).values()) or one.decision not in WORDS:
+            raise damaged(path, "a decision is neither accept nor repeat, or lacks a word", remedy)
     return decisions
 
 

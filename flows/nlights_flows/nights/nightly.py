@@ -11,6 +11,7 @@ from prefect import flow
 from prefect.artifacts import create_markdown_artifact
 from prefect.states import Completed, Failed
 
+from nlights_core.names.control_characters import escape_controls
 from nlights_flows.nights.notifying import take_address
 from nlights_flows.nights.order import Batch, Order
 from nlights_flows.nights.pictures import thumbnail
@@ -20,6 +21,7 @@ from nlights_flows.tiles.digitise import digitise, each_tile_through
 from nlights_flows.tiles.environment import outlive_reader
 from nlights_flows.tiles.run_options import RunOptions
 from nlights_flows.tiles.running import Around
+from nlights_flows.tiles.streams import faults_escaped
 
 SHOWN = 20
 """Artworks of which the artifact shows a picture; artifacts are to stay small."""
@@ -81,7 +83,7 @@ def nightly(
     # The address of a web hook is a secret, and parameters stand in Prefect's pages.
     order = Order(Path(inbox), RunOptions.of(locals()), until, limits, settle, take_address(None))
     outlive_reader()
-    with elsewhere(order) as (order, at_once):
+    with faults_escaped(), elsewhere(order) as (order, at_once):
         record = run_night(order, run_as_subflow, at_once)
     found = record.as_json()
     create_markdown_artifact(artifact(found), key="night", description=found["verdict"])
@@ -94,7 +96,8 @@ def run_as_subflow(batch: Batch, around: Around) -> None:
     """Run an artwork's tiles as a flow run that has the artwork's inventory number as its name."""
     options = replace(batch.night.options, tiles=tuple(tile.name for tile in batch.tiles))
     # Prefect fills in what stands in braces.
-    named = digitise.with_options(flow_run_name=batch.artwork.replace("{", "{{").replace("}", "}}"))
+    name = escape_controls(batch.artwork).replace("{", "{{").replace("}", "}}")
+    named = digitise.with_options(flow_run_name=name)
     with each_tile_through(around):
         state: Any = named(artwork=str(batch.manifest), **options.plain(), return_state=True)
     if isinstance(state.data, BaseException):  # not a tile's fault: that is among the outcomes
@@ -134,5 +137,5 @@ def artifact(record: Mapping[str, Any]) -> str:
 
 def _plain(text: str) -> str:
     """Text that stays text in a table of Markdown."""
-    whole = html.escape(" ".join(text.split()))
+    whole = html.escape(escape_controls(" ".join(text.split())))
     return "".join(f"\\{letter}" if letter in "\\`*_[]|!#~" else letter for letter in whole)

@@ -244,7 +244,8 @@ def read_night(out: Path) -> NightRecord:
         When it is damaged, or of another version of nLights.
     """
     path = out / RECORD
-    found = read_json(path)
+    remedy = "the next night writes another"
+    found = read_json(path, remedy)
     try:
         known = {key: value for key, value in found.items() if key in NightRecord.__dataclass_fields__}
         known["artworks"] = [
@@ -252,5 +253,5 @@ def read_night(out: Path) -> NightRecord:
             for artwork in found["artworks"]
         ]
         return NightRecord(**known)
-    except (TypeError, KeyError, AttributeError) as fault:
-        raise damaged(path, f"{type(fault).__name__}: {fault}") from None
+    except (TypeError, KeyError, AttributeError):
+        raise damaged(path, "it is no record of a night of this version", remedy) from None

@@ -27,6 +27,7 @@ from nlights_flows.tiles.environment import outlive_reader
 from nlights_flows.tiles.preparing import make_folders, require_named
 from nlights_flows.tiles.run_options import RunOptions
 from nlights_flows.tiles.running import Around, Ensure, Outcome, attempt, exit_code
+from nlights_flows.tiles.streams import faults_escaped
 
 LASTING = {errno.ENOSPC, errno.EDQUOT, errno.ENOENT, errno.EACCES, errno.EPERM, errno.EROFS}
 """Faults of the operating system that stay until somebody acts."""
@@ -77,9 +78,9 @@ def run_stage(name: str, store_root: str, tile: Tile, *arguments: Any, timeout: 
     """
     store = Store(Path(store_root))
     work = getattr(stages, name)(store, tile, *arguments)
-    if isolation.ensure(store, work, tile, arguments, timeout=timeout):
-        return Completed(name="Cached", data=work.ref)
-    return work.ref
+    with faults_escaped():
+        there = isolation.ensure(store, work, tile, arguments, timeout=timeout)
+    return Completed(name="Cached", data=work.ref) if there else work.ref
 
 
 @task(name="tile", persist_result=False, cache_policy=NO_CACHE)
@@ -149,7 +150,9 @@ def digitise(
     State
         Completed, or Failed when a tile failed; both carry the list of outcomes as their data.
     """
-    return _digitise(Path(artwork), RunOptions.of(locals()))
+    options = RunOptions.of(locals())
+    with faults_escaped():
+        return _digitise(Path(artwork), options)
 
 
 def _digitise(artwork: Path, options: RunOptions) -> State[Any]:

@@ -7,11 +7,16 @@ import traceback
 from pathlib import Path
 
 from nlights_core.errors import NlightsError
+from nlights_core.names.control_characters import escape_controls
 from nlights_core.store import Store
 
 
 def explain_fault(fault: BaseException, store: Store) -> str:
-    """A fault as a sentence: what happened and what to do."""
+    """A fault as a sentence: what happened and what to do; control characters are escaped."""
+    return escape_controls(_explain(fault, store))
+
+
+def _explain(fault: BaseException, store: Store) -> str:
     if isinstance(fault, NlightsError):
         return str(fault)
     if isinstance(fault, OSError):

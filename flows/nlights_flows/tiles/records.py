@@ -9,6 +9,9 @@ from typing import Any
 
 from nlights_core.errors import CaptureError
 
+MADE_AGAIN = "see `nlights verify`, or digitise the artwork again"
+"""What to do about one."""
+
 QUALITY, PROVENANCE = "quality.json", "provenance.json"
 
 _TEXTS = ("group", "name", "unit")
@@ -55,7 +58,7 @@ def read_provenance(products: Path) -> dict[str, Any]:
     return found
 
 
-def read_json(path: Path) -> Any:
+def read_json(path: Path, remedy: str = MADE_AGAIN) -> Any:
     """Contents of a JSON file.
 
     Raises
@@ -68,12 +71,13 @@ def read_json(path: Path) -> Any:
     except OSError as fault:
         raise CaptureError(f"{path}: cannot be read ({fault.strerror})") from None
     except (ValueError, RecursionError) as fault:
-        raise damaged(path, str(fault)) from None
+        reason = "nested too deep" if isinstance(fault, RecursionError) else str(fault)
+        raise damaged(path, reason, remedy) from None
 
 
-def damaged(path: Path, reason: str) -> CaptureError:
+def damaged(path: Path, reason: str, remedy: str = MADE_AGAIN) -> CaptureError:
     """Fault of a record that is not what nLights wrote."""
-    return CaptureError(f"{path}: is damaged ({reason}); see `nlights verify`, or digitise the artwork again")
+    return CaptureError(f"{path}: is damaged ({reason}); {remedy}")
 
 
 def _refuse(constant: str) -> None:

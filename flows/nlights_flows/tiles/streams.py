@@ -6,8 +6,11 @@ import json
 import logging
 import os
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any, TextIO
 
+from nlights_core.errors import NlightsError
 from nlights_core.names.control_characters import escape_controls
 
 _outlives = False
@@ -51,6 +54,17 @@ def complain(sentence: object) -> None:
         if not _outlives:
             raise
         silence(sys.stderr.fileno())
+
+
+@contextmanager
+def faults_escaped() -> Iterator[None]:
+    """Let no sentence of a fault leave the block with a control character: others log what they are raised."""
+    try:
+        yield
+    except NlightsError as fault:
+        if (shown := escape_controls(str(fault))) == str(fault):
+            raise
+        raise type(fault)(shown) from None
 
 
 def outlive_listener() -> None:
