@@ -60,7 +60,7 @@ def test_every_command_and_option_is_documented():
 
     def options(*words: str) -> set[str]:
         done = subprocess.run([nlights, *words, "--help"], capture_output=True, text=True, check=True)
-        return set(re.findall(r"--[a-z]+", done.stdout)) - {"--help"}
+        return set(re.findall(r"--[a-z]+(?:-[a-z]+)*", done.stdout)) - {"--help"}
 
     shown = subprocess.run([nlights, "--help"], capture_output=True, text=True, check=True).stdout
     commands = re.findall(r"^│ ([a-z]+)  ", shown, flags=re.MULTILINE)

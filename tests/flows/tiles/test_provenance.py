@@ -61,7 +61,7 @@ def test_what_provenance_says_makes_the_same_bytes_from_the_photographs_alone(pa
     assert contents(second.folder) == contents(first.folder)
     # And from Python.
     assert load_recipe(provenance["recipe"]) == load_recipe(str(elsewhere / "recipe.yaml"))
-    assert nlights.open_products(second.folder).provenance["recipe"]["name"] == "careful"
+    assert nlights.open(second.folder).provenance["recipe"]["name"] == "careful"
 
 
 @pytest.mark.parametrize("name", ["psbox, passes=3", "é", "12"])
