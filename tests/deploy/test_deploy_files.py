@@ -3,9 +3,11 @@
 import ast
 import configparser
 import inspect
+import os
 import re
 import shutil
 import subprocess
+import sys
 from importlib import import_module
 from pathlib import Path
 
@@ -31,21 +33,73 @@ def compose():
     return yaml.safe_load((DEPLOY / "compose.yaml").read_text())
 
 
-def test_the_stack_refuses_to_start_without_its_secrets(compose):
+def test_the_stacks_secrets_are_files_and_it_refuses_to_start_without(compose):
     text = (DEPLOY / "compose.yaml").read_text()
-    uses = re.findall(r"\$\{(PREFECT_SERVER_API_AUTH_STRING|NLIGHTS_POSTGRES_PASSWORD)(:\?[^}]+)?\}", text)
-    # Each is demanded, with a sentence, wherever it enters by itself.
-    assert {name for name, message in uses if message} == {
-        "PREFECT_SERVER_API_AUTH_STRING",
-        "NLIGHTS_POSTGRES_PASSWORD",
+    assert len(re.findall(r"\$\{NLIGHTS_SECRETS:\?[^}]+\}", text)) == text.count("NLIGHTS_SECRETS") == 2
+    given = {name: set(service.get("secrets", ())) for name, service in compose["services"].items()}
+    assert given == {
+        "postgres": {"postgres-password"},
+        "server": {"auth", "postgres-password"},
+        "register": {"auth"},
+        "worker": {"auth"},
     }
-    assert all(message for name, message in uses if name == "PREFECT_SERVER_API_AUTH_STRING")
-    for name in ("server", "register", "worker"):
-        secrets = [
-            v for k, v in compose["services"][name]["environment"].items() if k.endswith("AUTH_STRING")
-        ]
-        assert len(secrets) == 1
-        assert ":?" in secrets[0]
+    for name, service in compose["services"].items():
+        for variable, value in service["environment"].items():
+            if re.search("PASSWORD|AUTH|SECRET|CONNECTION_URL", variable):
+                assert variable.endswith("_FILE"), variable
+                assert value.removeprefix("/run/secrets/") in given[name]
+                # Of the other images' variables nobody but their own entry points makes anything.
+                assert (
+                    name == "postgres"
+                    or variable.removesuffix("_FILE") in (DEPLOY / "with-secrets").read_text()
+                )
+
+
+def test_every_container_is_closed_and_limited(compose):
+    assert set(compose["services"]) == set(SERVICES)
+    for name, service in compose["services"].items():
+        assert service["read_only"] is True
+        assert service["cap_drop"] == ["ALL"]
+        assert service["security_opt"] == ["no-new-privileges:true"]
+        assert service["hostname"] == f"nlights-{name}"
+        assert service["mem_limit"]
+        assert service["pids_limit"] <= 2048
+        assert any(place.startswith("/tmp:") for place in service["tmpfs"])
+        added = ["CHOWN", "DAC_OVERRIDE", "FOWNER", "SETGID", "SETUID"] if name == "postgres" else None
+        assert service.get("cap_add") == added
+
+
+@pytest.mark.parametrize("newline", ["", "\n"])
+def test_a_command_is_started_with_the_secrets_of_files(tmp_path, newline):
+    (tmp_path / "auth").write_text(f"operator:a secret's $HOME `x`{newline}")
+    words = ["sh", "-c", 'printf %s "$PREFECT_API_AUTH_STRING"; test -z "${PREFECT_API_AUTH_STRING_FILE:-}"']
+    own = {"PATH": os.environ["PATH"], "PREFECT_API_AUTH_STRING_FILE": str(tmp_path / "auth")}
+    command = ["sh", str(DEPLOY / "with-secrets"), *words]
+    done = subprocess.run(command, env=own, capture_output=True, text=True, check=True)
+    assert done.stdout == "operator:a secret's $HOME `x`"
+    (tmp_path / "auth").write_text("")
+    for _ in ("empty", "missing"):
+        refused = subprocess.run(command, env=own, capture_output=True, text=True, check=False)
+        assert (refused.returncode, refused.stdout) == (78, "")
+        assert "holds no secret for PREFECT_API_AUTH_STRING" in refused.stderr
+        (tmp_path / "auth").unlink(missing_ok=True)
+
+
+def test_the_server_finds_its_database_by_what_compose_tells_it(compose):
+    told = {
+        name: value
+        for name, value in compose["services"]["server"]["environment"].items()
+        if name.startswith("PREFECT_SERVER_DATABASE_") and not name.endswith("_FILE")
+    }
+    program = "from prefect.settings import PREFECT_API_DATABASE_CONNECTION_URL as url; print(url.value())"
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        env={"PATH": os.environ["PATH"], **told, "PREFECT_SERVER_DATABASE_PASSWORD": "p@ss/word"},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.strip() == "postgresql+asyncpg://nlights:p%40ss%2Fword@postgres:5432/nlights"
 
 
 def test_the_stack_is_reached_from_this_machine_only_and_reaches_nothing(compose):
@@ -91,6 +145,7 @@ def test_every_image_is_pinned_and_no_container_is_roots(compose):
     for source in re.findall(r"^COPY (?!--from)(.+) \S+$", docker, flags=re.MULTILINE):
         for path in source.split():
             assert (ROOT / path).exists(), path
+            assert f"!{path}" in (ROOT / ".dockerignore").read_text().splitlines()
 
 
 def test_the_servers_version_is_the_tested_one():
@@ -156,6 +211,10 @@ def test_units_are_hardened_restart_and_need_their_secret(path):
     assert service["User"] == "nlights"
     assert service["ProtectSystem"] == "strict"
     assert service["NoNewPrivileges"] == "true"
+    assert service["IPAddressDeny"] == "any"
+    assert service["SystemCallErrorNumber"] == "EPERM"
+    assert int(service["TasksMax"]) > 0
+    assert service["MemoryMax"]
     assert service["EnvironmentFile"].startswith("/etc/nlights/")
     assert "AUTH_STRING" in service["ExecStartPre"]
     assert "Environment=DO_NOT_TRACK=1" in path.read_text()
@@ -167,6 +226,17 @@ def test_units_are_hardened_restart_and_need_their_secret(path):
         assert unit["Unit"]["Requires"] == "postgresql.service"
         for name, value in QUIET.items():
             assert f"Environment={name}={value}\n" in path.read_text()
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="there is no systemd here")
+@pytest.mark.parametrize("path", UNITS, ids=lambda path: path.name)
+def test_systemd_finds_little_that_a_unit_is_exposed_to(path):
+    command = ["systemd-analyze", "security", "--offline=true", "--no-pager", "--threshold=20", str(path)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if "unrecognized option" in done.stderr:
+        pytest.skip("this systemd is older than --offline")
+    assert "Overall exposure level" in done.stdout
+    assert done.returncode == 0, done.stdout[-2000:]
 
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="there is no systemd here")
@@ -197,6 +267,6 @@ def test_the_example_of_the_environment_names_all_that_is_read_and_no_secret(com
     assert {variable for variable, _ in deployment.PLACES.values()} <= set(example)
     read = set(re.findall(r"\$\{(\w+)", (DEPLOY / "compose.yaml").read_text()))
     assert read - set(example) == {"NLIGHTS_BIND"}
-    assert example["PREFECT_SERVER_API_AUTH_STRING"] == example["NLIGHTS_POSTGRES_PASSWORD"] == ""
+    assert example["NLIGHTS_SECRETS"] == ""
     for name, (variable, default) in deployment.PLACES.items():
         assert example[variable].strip('"') == default, name
