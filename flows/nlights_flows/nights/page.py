@@ -19,8 +19,12 @@ from nlights_flows.nights.pictures import thumbnail
 from nlights_flows.nights.record import PAGE, NightRecord, summarise_night
 from nlights_flows.tiles.pages import template
 
-PICTURES = 300
-"""Tiles that have a picture; with more the page grows too large for a browser."""
+MOST = 300
+"""Tiles of which the page shows picture and numbers, and lines of each list; with more it grows too large for a
+browser.  The rest is counted; all of it is in ``night.json``."""
+
+LISTS = ("doubts", "beyond", "noted", "waiting")
+"""Lists of the page with a line for each entry."""
 
 WORDS = {
     "ok": "within its limits",
@@ -52,7 +56,7 @@ def _shown(record: NightRecord, out: Path) -> dict[str, Any]:
         for tile in artwork["tiles"]:
             tile["link"] = quote(tile["products"]) + "/report.html" if tile["products"] else ""
             tile["picture"] = ""
-            if tile["products"] and drawn < PICTURES:
+            if tile["products"] and drawn < MOST:
                 drawn += 1
                 tile["picture"] = thumbnail(out / tile["products"], out, draw=tile["state"] == "done")
             tile["numbers"] = number_rows(tile["numbers"])
@@ -61,12 +65,16 @@ def _shown(record: NightRecord, out: Path) -> dict[str, Any]:
                 for one in tile["review"]
             ]
     artworks = data["artworks"]
-    return {
+    shown: dict[str, Any] = {
         "record": data,
         "version": __version__,
         "sentence": summarise_night(record),
         "mood": mood(data),
-        "failures": [a for a in artworks if a["state"] == "failed"],
+        "failures": [
+            {**a, "tiles": [t for t in a["tiles"] if t["state"] == "failed"]}
+            for a in artworks
+            if a["state"] == "failed"
+        ],
         "doubts": doubts(artworks),
         "beyond": beyond(artworks),
         "older": older(artworks),
@@ -74,13 +82,14 @@ def _shown(record: NightRecord, out: Path) -> dict[str, Any]:
         "accepted": decided(artworks, "accept"),
         "moved": moved(data),
         "left": [
-            (a, [t for t in a["tiles"] if t["state"] in ("left", "claimed elsewhere")])
+            {**a, "tiles": [t for t in a["tiles"] if t["state"] in ("left", "claimed elsewhere")]}
             for a in artworks
             if any(t["state"] in ("left", "claimed elsewhere") for t in a["tiles"])
         ],
         "noted": [(a, t) for a in artworks for t in a["tiles"] if t["notes"]],
         "waiting": [a for a in artworks if a["state"] == "waiting"],
         "tonight": [a for a in artworks if a["tiles"] and a["state"] != "unchanged"],
+        "finished": sum(a["state"] == "unchanged" for a in artworks),
         "before": [a for a in artworks if a["state"] == "unchanged"],
         "stands": [
             {**stand, "charts": [chart(trend) for trend in stand["charts"]]} for stand in data["trends"]
@@ -100,6 +109,28 @@ def _shown(record: NightRecord, out: Path) -> dict[str, Any]:
         "words": WORDS,
         "chart_size": (WIDTH, HEIGHT),
     }
+    more = {name: max(len(shown[name]) - MOST, 0) for name in LISTS}
+    shown |= {name: shown[name][:MOST] for name in LISTS}
+    for name in ("failures", "left", "tonight", "before"):
+        shown[name], more[name] = first_tiles(shown[name], MOST)
+    return {**shown, "more": more}
+
+
+def first_tiles(artworks: Sequence[Mapping[str, Any]], most: int) -> tuple[list[dict[str, Any]], int]:
+    """Artworks with so many tiles together, and how many tiles are left out; one without tiles counts as one.
+
+    Examples
+    --------
+    >>> first_tiles([{"tiles": "ab"}, {"tiles": ""}, {"tiles": "cd"}, {"tiles": "e"}], 4)
+    ([{'tiles': 'ab'}, {'tiles': ''}, {'tiles': 'c'}], 2)
+    """
+    found: list[dict[str, Any]] = []
+    room = most
+    for artwork in artworks:
+        if room > 0:
+            found.append({**artwork, "tiles": artwork["tiles"][:room]})
+        room -= max(len(artwork["tiles"]), 1)
+    return found, max(-room, 0)
 
 
 def number_rows(numbers: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
