@@ -2,7 +2,7 @@
 PYTHON_IN = .venv/bin
 READY = .venv/.ready
 
-.PHONY: bench demo faults night-demo test lint package check docs format clean
+.PHONY: bench demo faults long-night night-demo test lint package check docs format clean
 
 demo: $(READY) ## a simulated capture of the horizontal stand, measured from photographs to report
 	@rm -rf demo/capture
@@ -16,9 +16,13 @@ night-demo: $(READY) ## a night with PostgreSQL, a Prefect server and a worker, 
 	$(PYTHON_IN)/python deploy/night_demo.py $(OPTIONS)
 
 KILLS = 20
-faults: $(READY) ## nights that are killed, KILLS of them, and other faults (some 20 minutes; see docs/faults.md)
+faults: $(READY) ## nights that are killed, KILLS of them, each of whose calls fails, and other faults (docs/faults.md)
 	$(PYTHON_IN)/python deploy/fault_conditions.py
+	$(PYTHON_IN)/python deploy/fault_each.py $(if $(TRIES),--tries $(TRIES) --power $(TRIES))
 	$(PYTHON_IN)/python deploy/fault_kills.py --kills $(KILLS) $(OPTIONS)
+
+long-night: $(READY) ## a night of 1000 tiny tiles, twice, to see that nothing grows (some 20 minutes)
+	$(PYTHON_IN)/python deploy/fault_many.py $(OPTIONS)
 
 test: $(READY) ## all tests, on up to four cores; each file's one after the other
 	$(PYTHON_IN)/python -m pytest --numprocesses auto --maxprocesses 4 --dist loadfile

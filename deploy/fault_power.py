@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import stat
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -79,7 +80,11 @@ class Disk:
         for name in os.listdir(handle):
             kept = os.open(name, os.O_PATH | os.O_NOFOLLOW, dir_fd=handle)
             self.kept_open.append(kept)
-            found[name] = os.fstat(kept).st_ino
+            status = os.fstat(kept)
+            found[name] = status.st_ino
+            if stat.S_ISDIR(status.st_mode):  # it is known to be a folder, but not what is in it
+                self.flushed.setdefault(status.st_ino, {})
+                self.modes.setdefault(status.st_ino, status.st_mode & 0o777)
         return found
 
     def _left(self, folder: Path, way: str) -> dict[str, tuple[int, bytes | None, int]]:

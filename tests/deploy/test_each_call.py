@@ -2,6 +2,7 @@
 
 import errno
 import os
+import shutil
 import subprocess
 import time
 
@@ -89,6 +90,8 @@ def test_what_was_not_flushed_is_lost(tmp_path):
                 file.flush()
                 if name != "not":
                     os.fsync(file.fileno())
+        (place / "folder").mkdir()
+        (place / "folder" / "inside").write_text("x")
         folder = os.open(place, os.O_RDONLY)
         os.fsync(folder)
         (place / "changed").write_text("new")
@@ -98,16 +101,17 @@ def test_what_was_not_flushed_is_lost(tmp_path):
 
     left = {}
     for way in ("nothing", "empty", "half"):
-        for path in place.iterdir():
-            path.unlink()
+        shutil.rmtree(place)
+        place.mkdir()
         disk = Disk([place])
         assert run_told(work, [place], lambda call, disk=disk: disk.told(call) or GO_ON, log).code == 0
         disk.lose(way)
         disk.close()
-        left[way] = {path.name: path.read_text() for path in place.iterdir()}
+        left[way] = {path.name: path.read_text() for path in place.rglob("*") if path.is_file()}
+        assert (place / "folder").is_dir()
     assert left["nothing"] == {"flushed": "12345678", "changed": "12345678", "not": ""}
-    assert left["empty"] == {"renamed": "12345678", "changed": "", "not": "", "late": ""}
-    assert left["half"] == {"renamed": "12345678", "changed": "n", "not": "1234", "late": "la"}
+    assert left["empty"] == {"renamed": "12345678", "changed": "", "not": "", "late": "", "inside": ""}
+    assert left["half"] == {"renamed": "12345678", "changed": "n", "not": "1234", "late": "la", "inside": ""}
 
 
 def test_leftovers_of_killed_nights_go_and_those_of_living_ones_stay(tmp_path):
