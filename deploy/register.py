@@ -10,6 +10,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import yaml
 
@@ -57,6 +58,9 @@ def _automations(client: object) -> None:
 
     wanted = yaml.safe_load((HERE / "automations.yaml").read_text(encoding="utf-8"))["automations"]
     for one in wanted:
+        if not _with_blocks(client, one):
+            print(f"automation {one['name']}: left out, there is no notification block of that name")
+            continue
         automation = AutomationCore.model_validate(one)
         body = automation.model_dump(mode="json")
         answer = client._client.post("/automations/filter", json={})  # type: ignore[attr-defined]
@@ -67,6 +71,20 @@ def _automations(client: object) -> None:
         else:
             client._client.post("/automations/", json=body).raise_for_status()  # type: ignore[attr-defined]
         print(f"automation {automation.name}: {'brought up to date' if former else 'made'}")
+
+
+def _with_blocks(client: object, automation: dict[str, Any]) -> bool:
+    """Replace the names of the blocks that an automation notifies through by their numbers; False where one lacks."""
+    for action in automation["actions"]:
+        if name := action.get("block_document_id"):
+            asked = {"block_documents": {"name": {"any_": [name]}}, "include_secrets": False}
+            answer = client._client.post("/block_documents/filter", json=asked)  # type: ignore[attr-defined]
+            answer.raise_for_status()
+            found = [one["id"] for one in answer.json() if one["name"] == name]
+            if not found:
+                return False
+            action["block_document_id"] = found[0]
+    return True
 
 
 if __name__ == "__main__":

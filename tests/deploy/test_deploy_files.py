@@ -201,6 +201,21 @@ def test_a_lost_run_is_marked_after_three_heartbeats():
     assert automation.actions[0].state.value == "CRASHED"
 
 
+def test_nights_are_told_through_a_block_that_is_found_by_its_name():
+    from prefect.events.schemas.automations import AutomationCore
+
+    wanted = yaml.safe_load((DEPLOY / "automations.yaml").read_text())["automations"][1]
+    (action,) = wanted["actions"]
+    assert action["block_document_id"] == "nlights"
+    action["block_document_id"] = "0" * 8 + "-0000-0000-0000-" + "0" * 12
+    automation = AutomationCore.model_validate(wanted)
+    assert automation.trigger.match_related == {
+        "prefect.resource.role": "flow",
+        "prefect.resource.name": "nightly",
+    }
+    assert automation.actions[0].body == "{{ flow_run.state.message }}"
+
+
 @pytest.mark.parametrize("path", UNITS, ids=lambda path: path.name)
 def test_units_are_hardened_restart_and_need_their_secret(path):
     unit = configparser.ConfigParser(strict=False, interpolation=None)

@@ -117,7 +117,7 @@ def notify(
 
 
 def message(record: NightRecord) -> dict[str, Any]:
-    """What a hook is told of a night: "text" is for people, and what chat programs show."""
+    """Message about a night: "text" is for people, and what chat programs show."""
     sentence = summarise_night(record)
     page = (Path(record.out) / NIGHTS / record.name / PAGE).as_uri()
     tiles = list(record.tiles)

@@ -1,4 +1,4 @@
-"""What a tile's products say: its quality numbers, held against the limits, its warnings, what people decided."""
+"""Words of a tile's products: its quality numbers, held against the limits, its warnings, what people decided."""
 
 from __future__ import annotations
 
