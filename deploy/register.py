@@ -62,7 +62,7 @@ def _automations(client: object) -> None:
             print(f"automation {one['name']}: left out, there is no notification block of that name")
             continue
         automation = AutomationCore.model_validate(one)
-        body = automation.model_dump(mode="json")
+        body = automation.model_dump(mode="json", exclude={"owner_resource"})  # which an update may not name
         answer = client._client.post("/automations/filter", json={})  # type: ignore[attr-defined]
         answer.raise_for_status()
         former = [found["id"] for found in answer.json() if found["name"] == automation.name]
