@@ -2,7 +2,7 @@
 PYTHON_IN = .venv/bin
 READY = .venv/.ready
 
-.PHONY: bench demo faults long-night night-demo test lint package check docs format clean
+.PHONY: bench demo faults fuzz long-night night-demo test lint package check docs format clean
 
 demo: $(READY) ## a simulated capture of the horizontal stand, measured from photographs to report
 	@rm -rf demo/capture
@@ -23,6 +23,10 @@ faults: $(READY) ## nights that are killed, KILLS of them, each of whose calls f
 
 long-night: $(READY) ## a night of 1000 tiny tiles, twice, to see that nothing grows (some 20 minutes)
 	$(PYTHON_IN)/python deploy/fault_many.py $(OPTIONS)
+
+EXAMPLES = 200000
+fuzz: $(READY) ## files of people, spoilt at random: EXAMPLES of each kind, others each time (some half an hour)
+	NLIGHTS_FUZZ=$(EXAMPLES) $(PYTHON_IN)/python -m pytest --numprocesses auto --maxprocesses 4 tests/fuzz $(OPTIONS)
 
 test: $(READY) ## all tests, on up to four cores; each file's one after the other
 	$(PYTHON_IN)/python -m pytest --numprocesses auto --maxprocesses 4 --dist loadfile

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import ClassVar, NamedTuple
@@ -11,6 +12,7 @@ import numpy as np
 
 from nlights_core.algorithms import LightModel, Read
 from nlights_core.capture import Tile
+from nlights_core.configurations import LARGEST
 from nlights_core.errors import TileError
 from nlights_core.fields import LightField
 from nlights_core.frames import Array
@@ -105,8 +107,8 @@ def read_directions(path: Path) -> Listed:
     names: tuple[str, ...] | None = None
     if lines[0].lstrip().startswith("{"):
         matrix = _dome(path, "\n".join(lines))
-    elif len(lines[0].split()) == 1 and lines[0].strip().isdigit():
-        count, rows = int(lines[0]), [line.rsplit(maxsplit=3) for line in lines[1:]]
+    elif re.fullmatch("[0-9]{1,9}", lines[0].strip()):
+        count, rows = int(lines[0].strip()), [line.rsplit(maxsplit=3) for line in lines[1:]]
         if len(rows) != count or not count:
             raise TileError(f"{path}: the first line says {count} lights, but {len(rows)} lines follow")
         matrix = _numbers(path, [row[-3:] for row in rows])
@@ -135,6 +137,9 @@ def read_directions(path: Path) -> Listed:
                 f"{path}: light {number} has z = {direction[2]:g}, behind the artwork; x is right, y up, "
                 "z towards the camera and above 0"
             )
+    matrix = matrix / np.abs(matrix).max(
+        axis=1, keepdims=True
+    )  # else the squares of very large numbers are infinite
     return Listed(path, names, matrix / np.linalg.norm(matrix, axis=1, keepdims=True))
 
 
@@ -142,7 +147,7 @@ def _dome(path: Path, text: str) -> Array:
     """Directions of a dome file of Relight; its positions, where it has them, are not used."""
     try:
         return _numbers(path, [[light[axis] for axis in "xyz"] for light in json.loads(text)["directions"]])
-    except (ValueError, KeyError, TypeError) as fault:
+    except (ValueError, KeyError, TypeError, RecursionError) as fault:
         raise TileError(
             f"{path}: is no dome file of Relight: JSON with directions, each of x, y, z ({fault})"
         ) from fault
@@ -218,10 +223,14 @@ def _few(names: Sequence[str], most: int = 3) -> str:
 
 def _lines(path: Path) -> list[str]:
     """Lines of a text file that say something."""
-    if kind := irregular_kind(path):
-        raise TileError(f"{path}: {kind}, where a text file is expected; name the file itself")
     try:
+        if kind := irregular_kind(path):
+            raise TileError(f"{path}: {kind}, where a text file is expected; name the file itself")
+        if path.stat().st_size > LARGEST:
+            raise TileError(f"{path}: larger than {LARGEST >> 10} KiB, which no list of lights is")
         lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except OSError as fault:
+        raise TileError(f"{path}: cannot be read ({fault.strerror}); see whether it is there") from fault
     except UnicodeDecodeError as fault:
         raise TileError(f"{path}: not a text file (UTF-8); save it as plain text") from fault
     lines = [line for line in lines if line.strip() and not line.lstrip().startswith("#")]
@@ -232,14 +241,14 @@ def _lines(path: Path) -> list[str]:
 
 def _numbers(path: Path, rows: list[list[str]]) -> Array:
     """A float64 matrix of finite numbers from split lines."""
-    if len({len(row) for row in rows}) != 1:
+    if len({len(row) for row in rows}) != 1 or not rows[0]:
         raise TileError(
             f"{path}: lines hold different numbers of values; each light needs as many as the others"
         )
     try:
-        matrix = np.array(rows, float)
-    except ValueError as fault:
-        raise TileError(f"{path}: not a number where one is expected: {fault}") from fault
+        matrix = np.array([[float(value) for value in row] for row in rows])
+    except (ValueError, TypeError, OverflowError) as fault:
+        raise TileError(f"{path}: not a number where one is expected: {str(fault)[:200]}") from fault
     if not np.isfinite(matrix).all():
         row = int(np.nonzero(~np.isfinite(matrix).all(axis=1))[0][0]) + 1
         raise TileError(f"{path}: row {row} holds a number that is not finite (NaN or infinity); correct it")
