@@ -85,7 +85,7 @@ def fault_of(artwork: str) -> str | None:
 
 
 def require_own_folder(artwork: str, out: Path) -> None:
-    """Refuse an inventory number whose folder another one of the same products has, but for capitals.
+    """Refuse an inventory number whose folder is nLights' own, or another's of the same products but for capitals.
 
     Parameters
     ----------
@@ -99,6 +99,8 @@ def require_own_folder(artwork: str, out: Path) -> None:
     CaptureError
         Naming the folder that is there.
     """
+    if is_reserved(artwork):
+        raise CaptureError(f"artwork.id: {fault_of(artwork)}")
     own = folder_of(artwork)
     try:
         names = [path.name for path in out.iterdir()]
