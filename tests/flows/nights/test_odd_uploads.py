@@ -247,3 +247,24 @@ def test_a_marker_from_before_1970_is_an_early_upload(good, tmp_path):
     os.utime(tmp_path / "inbox" / "good" / "upload-complete", (0, -1e9))
     (ready,) = scan(tmp_path / "inbox", 0).ready
     assert ready.uploaded == -1e9
+
+
+def test_folders_above_may_have_any_bytes_for_names(good, tmp_path):
+    place = tmp_path / os.fsdecode(b"\xe9t\xe9")
+    shutil.copytree(good, place / "inbox" / "good")
+    for words in (
+        ["digitise", place / "inbox" / "good", "--out", place / "out", "--recipe", "psbox"],
+        ["nightly", place / "inbox", "--out", place / "out", "--recipe", "psbox"],
+    ):
+        done = subprocess.run([COMMAND, *words], capture_output=True, timeout=300, check=False)
+        assert done.returncode == 0, done.stderr
+        assert b"Traceback" not in done.stderr
+    (made,) = (place / "out").glob("*/r0c0")
+    for path in (
+        *made.glob("*.json"),
+        made / "report.html",
+        place / "out" / "night.html",
+        place / "out" / "night.json",
+    ):
+        path.read_bytes().decode("utf-8")
+    assert json.loads((place / "out" / "night.json").read_text(encoding="utf-8"))["out"] == str(place / "out")
