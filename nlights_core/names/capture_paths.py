@@ -68,6 +68,7 @@ class CapturePaths:
         self._folders = Folders()
         self._refused: set[Location] = set()
         self._asked = 0
+        self._found: dict[tuple[str, bool], Found] = {}
         self._real_folders: dict[Path, Path] = {}
         self.faults: list[str] = []
         self.notes: list[Note] = []
@@ -223,6 +224,8 @@ class CapturePaths:
                 f"the tiles have more than {MOST_FILES} files in all; divide them into several artworks"
             )
             raise CaptureError(self._fault(at, sentence))
+        if (text, photograph) in self._found:
+            return self._found[text, photograph]
         path = self._resolved(at, self.folder / text, text)
         if at in self._refused:
             return Found(path)
@@ -234,7 +237,10 @@ class CapturePaths:
             )
             return Found(path)
         found = self._folders.find(self.folder, text)
-        return Found(self._resolved(at, found.path, text), found.near)
+        found = Found(self._resolved(at, found.path, text), found.near)
+        if at not in self._refused:  # what many tiles share is looked for once
+            self._found[text, photograph] = found
+        return found
 
     def _resolved(self, at: Location, path: Path, text: str | None = None) -> Path:
         if why := refusal(path):
