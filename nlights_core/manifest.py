@@ -15,7 +15,8 @@ from nlights_core.configurations import MOST_FAULTS, Source, list_faults, load_s
 from nlights_core.errors import CaptureError, StandError
 from nlights_core.names.artworks import LONGEST_NAME, fault_of, is_reserved
 from nlights_core.names.capture_paths import CapturePaths, Frames, Location
-from nlights_core.names.odd_names import refusal, shown
+from nlights_core.names.control_characters import escape_controls
+from nlights_core.names.odd_names import is_text, refusal
 from nlights_core.names.photographs import Folders, composed
 from nlights_core.stands import Positive, Record, Stand
 
@@ -194,8 +195,8 @@ class _Reader:
         )
         self._names: set[str] = set()
         named = Path(root.name, folder.relative_to(root)) if folder.is_relative_to(root) else folder.name
-        if shown(named) != str(named):
-            self.paths.tell((), f"the folder's name, {shown(named)}, is not UTF-8; rename it")
+        if not is_text(named):
+            self.paths.tell((), f"the folder's name, {escape_controls(str(named))}, is not UTF-8; rename it")
         if fault := fault_of(manifest.artwork.id):
             self.paths.tell(("artwork", "id"), fault)
 

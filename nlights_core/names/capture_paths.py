@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from nlights_core.errors import CaptureError
-from nlights_core.names.odd_names import refusal, shown
+from nlights_core.names.control_characters import escape_controls
+from nlights_core.names.odd_names import is_text, refusal
 from nlights_core.names.photographs import Folders, Found, composed, gaps, is_hidden, number_of
 
 Frames = dict[str, str] | list[str] | str
@@ -185,8 +186,8 @@ class CapturePaths:
         by_lamp: dict[str | int, list[Found]] = {}
         for one in fits:
             by_lamp.setdefault(number_of(one.lamp), []).append(one)
-        for name in (one.path.name for one in fits if shown(one.path.name) != one.path.name):
-            self.tell(at, f"the name {shown(name)} is not UTF-8; rename the photograph")
+        for name in (one.path.name for one in fits if not is_text(one.path.name)):
+            self.tell(at, f"the name {escape_controls(name)} is not UTF-8; rename the photograph")
         for several in by_lamp.values():
             if len(several) > 1:
                 names = " and ".join(one.path.name for one in several[:2])

@@ -12,22 +12,21 @@ LONGEST_PATH = 4095
 _REFUSED = (errno.EILSEQ, errno.EINVAL, errno.ELOOP, errno.ENAMETOOLONG)
 
 
-def shown(name: str | Path) -> str:
-    r"""A name for people, for JSON and for pages: bytes that are no UTF-8 become backslash escapes.
+def is_text(name: str | Path) -> bool:
+    r"""Test whether a name is UTF-8; of others Python holds a byte as half of a letter, which cannot be written down.
 
-    Python holds such a byte of a file's name as half of a letter, which can be opened but not written down.
-    For digests take `os.fsencode`.
+    For digests take `os.fsencode`, for people `nlights_core.names.control_characters.escape_controls`.
 
     Examples
     --------
-    >>> print(shown(os.fsdecode(b"inv-\xe9")), shown("inv-\u00e9"))
-    inv-\xe9 inv-é
+    >>> is_text(os.fsdecode(b"inv-\xe9")), is_text("inv-\u00e9")
+    (False, True)
     """
-    text = str(name)
     try:
-        return os.fsencode(text).decode("utf-8", "backslashreplace")
-    except UnicodeEncodeError:  # halves that stand for no byte: no name of a file, but perhaps of a field
-        return text.encode("utf-8", "backslashreplace").decode()
+        str(name).encode()
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
 def refusal(path: Path) -> str:

@@ -10,7 +10,7 @@ from functools import partial
 from itertools import pairwise
 from pathlib import Path, PurePath
 
-from nlights_core.names.odd_names import shown
+from nlights_core.names.control_characters import escape_controls
 
 PLACEHOLDER = re.compile(r"\{(lamp|n)(?::0?([1-9]?)d?)?\}")
 """Place in a pattern that differs from lamp to lamp; a number may say how many digits it has."""
@@ -148,7 +148,7 @@ class Folders:
         for part in Path(pattern).parts:
             fits = list(self._deeper(fits, part))
         found = [
-            Found(one.path, one.near, shown(composed(values.get("lamp", values.get("n", "")))))
+            Found(one.path, one.near, escape_controls(composed(values.get("lamp", values.get("n", "")))))
             for one, values in fits
             if not one.path.is_dir()
         ]

@@ -15,7 +15,7 @@ from functools import partial
 from nlights_core.capture import Tile
 from nlights_core.errors import NlightsError
 from nlights_core.names.artworks import require_own_folder
-from nlights_core.names.odd_names import shown
+from nlights_core.names.control_characters import escape_controls
 from nlights_core.products.publishing import publish
 from nlights_core.store import sweep_below
 from nlights_flows.nights.checking import in_store, require_usable
@@ -197,7 +197,7 @@ class Night:
         entry = ArtworkEntry(
             candidate.artwork,
             candidate.title,
-            shown(candidate.folder.relative_to(self.night.order.inbox.resolve()).as_posix()),
+            escape_controls(candidate.folder.relative_to(self.night.order.inbox.resolve()).as_posix()),
             priority=candidate.priority,
             uploaded=datetime.fromtimestamp(candidate.uploaded).astimezone().isoformat(timespec="minutes"),
             tiles=[TileEntry(tile.name) for tile in candidate.tiles],
@@ -221,9 +221,9 @@ class Night:
             ArtworkEntry(
                 one.artwork,
                 "",
-                shown(one.folder.relative_to(root).as_posix()),
+                escape_controls(one.folder.relative_to(root).as_posix()),
                 "failed" if one.failed else "waiting",
-                shown(one.message),
+                escape_controls(one.message),
             )
             for one in found.passed_by
         ]
@@ -312,8 +312,8 @@ class Night:
         """Enter what became of a tile."""
         with self._lock:
             one = self._tiles[outcome.artwork, outcome.tile]
-            one.state, one.message = outcome.state, shown(outcome.message)
-            one.notes = [shown(note) for note in outcome.notes]
+            one.state, one.message = outcome.state, escape_controls(outcome.message)
+            one.notes = [escape_controls(note) for note in outcome.notes]
             one.seconds = round(outcome.seconds, 2)
             if outcome.folder is not None:
                 one.products = outcome.folder.relative_to(self.night.order.options.out).as_posix()
