@@ -11,7 +11,7 @@ from nlights_core.errors import NlightsError
 from nlights_flows.tiles.run_options import RunOptions
 
 OPTION = re.compile(
-    r"--(address|compression|copy|grid|memory|out|recipes?|root|runner|stand|store|tile|timeout)\b(?!-)"
+    r"--(address|compression|grid|memory|out|recipes?|root|runner|stand|store|tile|timeout)\b(?!-)"
 )
 """An option of the command line, which is an argument here."""
 

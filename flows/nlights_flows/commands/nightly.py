@@ -64,7 +64,7 @@ def nightly(
         ),
     ] = None,
     compression: CompressionOption = Compression.NONE,
-    copy: Copy = False,
+    copied: Copy = False,
     timeout: Timeout = None,
     memory: Memory = None,
     plan: Annotated[

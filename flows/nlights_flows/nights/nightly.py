@@ -37,7 +37,7 @@ def nightly(
     limits: str = "default",
     settle: float = 300.0,
     compression: Literal["none", "zstd"] = "none",
-    copy: bool = False,
+    copied: bool = False,
     timeout: float | None = None,
     memory: str | None = None,
     runner: str = "here",
@@ -63,7 +63,7 @@ def nightly(
         Seconds for which a folder without the file ``upload-complete`` must have been quiet.
     compression : {"none", "zstd"}
         Of the TIFFs among the products.
-    copy : bool
+    copied : bool
         Copy the products out of the store, instead of sharing their place on the disk.
     timeout : float, optional
         Seconds that a stage may take.
