@@ -12,12 +12,14 @@ import numpy as np
 
 from nlights_core.algorithms import LightModel, Read
 from nlights_core.capture import Tile
-from nlights_core.configurations import LARGEST
 from nlights_core.errors import TileError
 from nlights_core.fields import LightField
 from nlights_core.frames import Array
 from nlights_core.machine.regular_files import irregular_kind
 from nlights_core.names.listed import match_listed
+
+LARGEST = 1 << 19
+"""Bytes: no list of lights is larger."""
 
 
 class GivenDirections(LightModel):
