@@ -209,10 +209,7 @@ def test_nights_are_told_through_a_block_that_is_found_by_its_name():
     assert action["block_document_id"] == "nlights"
     action["block_document_id"] = "0" * 8 + "-0000-0000-0000-" + "0" * 12
     automation = AutomationCore.model_validate(wanted)
-    assert automation.trigger.match_related == {
-        "prefect.resource.role": "flow",
-        "prefect.resource.name": "nightly",
-    }
+    assert automation.trigger.match_related.model_dump() == wanted["trigger"]["match_related"]
     assert automation.actions[0].body == "{{ flow_run.state.message }}"
 
 
