@@ -179,7 +179,7 @@ def _post(hook: Hook, told: dict[str, Any], timeout: float) -> tuple[str, bool]:
 
 
 def _reason(fault: BaseException) -> str:
-    """What the system said of a connection that failed."""
+    """Words of the system about a connection that failed."""
     cause: BaseException | None = fault
     while cause is not None:
         if isinstance(cause, ssl.SSLCertVerificationError):
