@@ -39,7 +39,10 @@ def read_sealed(path: Path) -> dict[str, Any]:
     if kind := irregular_kind(path):
         raise ValueError(f"{kind}, where a file is expected")
     text = path.read_bytes().decode("utf-8")
-    record = json.loads(text)
+    try:
+        record = json.loads(text)
+    except RecursionError:
+        raise ValueError("is nested too deep") from None
     if not isinstance(record, dict) or record.pop(SEAL, None) is None:
         raise ValueError("holds no seal: it is no record, or one of an earlier version")
     if sealed(record) != text:

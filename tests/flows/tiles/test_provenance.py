@@ -71,7 +71,7 @@ def test_a_recipe_keeps_the_name_that_it_gives_itself(tmp_path, name):
     assert load_recipe(str(path)).name == name
 
 
-@pytest.mark.parametrize("name", [12, "", "a\nb", "x" * 201, None, ["a"], "\x1b[2J"])
+@pytest.mark.parametrize("name", [12, "", "a\nb", "x" * 201, None, ["a"]])
 def test_a_name_that_is_none_is_refused(tmp_path, name):
     path = tmp_path / "file.yaml"
     path.write_text(json.dumps({"name": name, **load_recipe("psbox").record()}))
