@@ -221,7 +221,7 @@ def digitise(
     root: str | Path | None = None,
     tiles: str | Sequence[str] | None = None,
     compression: Compression = "none",
-    copied: bool = False,
+    copies: bool = False,
     memory: str | None = None,
     timeout: float | None = None,
     runner: Literal["here", "dask"] = "here",
@@ -248,7 +248,7 @@ def digitise(
         Only the tiles of these names.
     compression : {"none", "zstd"}
         Of the TIFFs; compressed ones cannot be mapped in place.
-    copied : bool
+    copies : bool
         Copy the products out of the store, instead of sharing their place on the disk.
     memory : str, optional
         What a tile may take, as ``"6GiB"``.

@@ -208,7 +208,7 @@ def digitise(
     tile: Tiles = None,
     prefect: Prefect = False,
     compression: CompressionOption = Compression.NONE,
-    copied: Copy = False,
+    copies: Copy = False,
     memory: Memory = None,
     timeout: Timeout = None,
     runner: Runner = "here",

@@ -129,7 +129,7 @@ def _run_flow(order: Order) -> dict[str, Any]:
             artworks=[str(path) for path in order.artworks],
             recipes=list(order.recipes),
             grid=list(order.grid),
-            **order.options.plain("runner", "address", "copied"),
+            **order.options.plain("runner", "address", "copies"),
             return_state=True,
         )
         record = state.data if isinstance(state.data, dict) else state.result(raise_on_failure=False)

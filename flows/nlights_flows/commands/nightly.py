@@ -64,7 +64,7 @@ def nightly(
         ),
     ] = None,
     compression: CompressionOption = Compression.NONE,
-    copied: Copy = False,
+    copies: Copy = False,
     timeout: Timeout = None,
     memory: Memory = None,
     plan: Annotated[

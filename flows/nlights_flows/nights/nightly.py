@@ -37,7 +37,7 @@ def nightly(
     limits: str = "default",
     settle: float = 300.0,
     compression: Literal["none", "zstd"] = "none",
-    copied: bool = False,
+    copies: bool = False,
     timeout: float | None = None,
     memory: str | None = None,
     runner: str = "here",
@@ -63,7 +63,7 @@ def nightly(
         Seconds for which a folder without the file ``upload-complete`` must have been quiet.
     compression : {"none", "zstd"}
         Of the TIFFs among the products.
-    copied : bool
+    copies : bool
         Copy the products out of the store, instead of sharing their place on the disk.
     timeout : float, optional
         Seconds that a stage may take.

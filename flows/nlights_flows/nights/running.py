@@ -236,7 +236,7 @@ class Night:
             if refs is None:
                 return False
             started = time.monotonic()
-            published = publish(store, tile, refs, order.options.out, copied=order.options.copied)
+            published = publish(store, tile, refs, order.options.out, copied=order.options.copies)
         except (
             Exception
         ):  # artefacts are deleted or damaged: running the tile makes them again, or says why not

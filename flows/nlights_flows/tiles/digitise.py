@@ -108,7 +108,7 @@ def digitise(
     root: str | None = None,
     tiles: list[str] | None = None,
     compression: str = "none",
-    copied: bool = False,
+    copies: bool = False,
     memory: str | None = None,
     timeout: float | None = None,
     runner: str = "here",
@@ -134,7 +134,7 @@ def digitise(
         Only these tiles.
     compression : str
         Of the TIFFs among the products, "none" or "zstd".
-    copied : bool
+    copies : bool
         Copy the products out of the store, instead of sharing their place on the disk.
     memory : str, optional
         Memory that a tile may take, as 6GiB.

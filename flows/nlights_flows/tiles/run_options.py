@@ -37,7 +37,7 @@ class RunOptions:
         Only the tiles of these names; all by default.
     compression : {"none", "zstd"}
         Of the TIFFs among the products.
-    copied : bool
+    copies : bool
         Whether products are copies of the files in the store, instead of sharing their place on the disk.
     memory : str or None
         Memory that a tile may take, as ``6GiB``.
@@ -56,7 +56,7 @@ class RunOptions:
     root: Path | None = None
     tiles: tuple[str, ...] = ()
     compression: Compression = "none"
-    copied: bool = False
+    copies: bool = False
     memory: str | None = None
     timeout: float | None = None
     runner: str = "here"

@@ -102,7 +102,7 @@ def run_tile(tile: Tile, recipe: Recipe, options: RunOptions, call: Callable[...
         try:
             with Photographs.watched(tile, recipe, store):
                 refs = digitise_tile(tile, recipe, call, options.compression)
-            published = publish(store, tile, refs, options.out, copied=options.copied)
+            published = publish(store, tile, refs, options.out, copied=options.copies)
         except (
             RottenArtefactError
         ) as fault:  # it is gone: the chain makes it again, and passes by what is whole

@@ -80,7 +80,7 @@ def test_a_name_that_is_none_is_refused(tmp_path, name):
 
 
 def test_provenance_has_a_digest_of_every_product(painting, tmp_path):
-    options = RunOptions(out=tmp_path / "out", copied=True)
+    options = RunOptions(out=tmp_path / "out", copies=True)
     (outcome,) = direct.digitise(painting, options, shown=False)
     folder = outcome.folder
     said = read_sealed(folder / "provenance.json")["files"]
