@@ -60,7 +60,7 @@ _EARLIER = TypeAdapter(EarlierNight)
 
 @dataclass(frozen=True)
 class Earlier:
-    """What is kept of earlier nights.
+    """Captures and times that are kept of earlier nights.
 
     Attributes
     ----------
