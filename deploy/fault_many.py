@@ -31,8 +31,11 @@ from nlights_flows.tiles.running import Around, Outcome, run_directly
 
 TILES_OF_ARTWORK = 10
 GROWTH = {"memory": 0.15, "files": 0.25, "threads": 0.0, "page": 0.10}
-"""Share by which each may grow between the look `FROM` and the last; the seconds are for people to judge.  Memory:
-the night's own record is kept, and written as one text.  Files: Matplotlib opens its fonts again for each thread that it meets, and keeps 64 of them at most."""
+"""Share by which each may grow between the look `FROM` and the last; the seconds are for people to judge.
+
+Memory: the night's own record is kept, and written as one text.  Files: Matplotlib opens its fonts again for each
+thread that it meets, and keeps 64 of them at most.
+"""
 
 FROM = 3
 """From then on (400 tiles of 1000) the page is full, and every cache."""
