@@ -45,12 +45,14 @@ def draft(folder: Path) -> Iterator[Path]:
     try:
         yield place
     finally:
-        _remove(place)
+        gone = _remove(place)  # else a sweep finds it by its mark
         with suppress(OSError):
-            _lock_of(place).unlink()
+            if gone:
+                _lock_of(place).unlink()
         os.close(mark)
         with suppress(OSError):  # Windows removes no file that is open
-            _lock_of(place).unlink()
+            if gone:
+                _lock_of(place).unlink()
 
 
 def discard(path: Path) -> None:

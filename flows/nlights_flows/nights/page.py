@@ -23,7 +23,7 @@ MOST = 300
 """Tiles of which the page shows picture and numbers, and lines of each list; with more it grows too large for a
 browser.  The rest is counted; all of it is in ``night.json``."""
 
-LISTS = ("doubts", "beyond", "noted", "waiting")
+LISTS = ("doubts", "beyond", "older", "repeats", "accepted", "noted", "waiting")
 """Lists of the page with a line for each entry."""
 
 WORDS = {

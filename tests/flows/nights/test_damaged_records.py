@@ -9,8 +9,9 @@ import pytest
 from nlights_core.capture_warnings import read_warnings
 from nlights_core.errors import NlightsError
 from nlights_flows.nights.limits import load_limits
-from nlights_flows.nights.numbers import DAMAGED
+from nlights_flows.nights.numbers import DAMAGED, look_at_products
 from nlights_flows.nights.order import Order
+from nlights_flows.nights.record import TileEntry
 from nlights_flows.nights.review import review_tile
 from nlights_flows.nights.running import run_here, run_night
 from nlights_flows.tiles.records import read_provenance, read_quality
@@ -52,7 +53,7 @@ def damage(path: Path, text: bytes) -> None:
 
 @pytest.mark.parametrize("kind", DAMAGE)
 @pytest.mark.parametrize("name", ["quality.json", "warnings.json", "provenance.json"])
-def test_a_damaged_product_is_told_by_a_night_and_a_review_and_costs_nothing_else(folder, name, kind):
+def test_a_damaged_product_is_told_by_a_review_and_put_right_by_a_night(folder, name, kind):
     out = folder / "out"
     damage(out / "inv-1" / "r0c0" / name, DAMAGE[kind])
     found = review_tile(out / "inv-1" / "r0c0", load_limits())
@@ -62,14 +63,14 @@ def test_a_damaged_product_is_told_by_a_night_and_a_review_and_costs_nothing_els
     record = run_night(Order(folder / "inbox", RunOptions(out=out)), run_here)
     assert [artwork.state for artwork in record.artworks] == ["unchanged", "unchanged"]
     (tile,) = record.artworks[0].tiles
-    page = (out / "night.html").read_text(encoding="utf-8")
-    if name == "provenance.json":  # it tells what the products are, so they are published anew
-        assert tile.warnings == []
-        assert read_provenance(out / "inv-1" / "r0c0")["artwork"] == "inv-1"
-    else:
-        assert [warning["code"] for warning in tile.warnings] == [DAMAGED]
-        assert f"{name}: is damaged" in page
-    assert record.artworks[1].tiles[0].warnings == []
+    # The store is whole, so that they are published anew.
+    assert tile.warnings == []
+    assert read_provenance(out / "inv-1" / "r0c0")["artwork"] == "inv-1"
+    there, sound = (
+        json.loads((out / id / "r0c0" / name).read_text(encoding="utf-8")) for id in ("inv-1", "inv-2")
+    )
+    assert type(there) is type(sound)
+    assert len(there) == len(sound)
     assert record.ended
 
 
@@ -101,11 +102,22 @@ def test_numbers_are_shown_of_whole_tiles_and_the_others_are_named(folder, nligh
     assert "no numbers can be shown" in done.stderr
 
 
-def test_a_run_over_damaged_warnings_says_so(folder, nlights):
-    damage(folder / "out" / "inv-1" / "r0c0" / "warnings.json", b"[{")
+def test_a_damaged_product_that_stays_is_a_warning_of_its_tile(folder):
+    out = folder / "out"
+    damage(out / "inv-1" / "r0c0" / "warnings.json", b"[{")
+    entry = TileEntry("r0c0")
+    look_at_products(entry, out / "inv-1" / "r0c0", load_limits())
+    assert [warning["code"] for warning in entry.warnings] == [DAMAGED]
+    assert "warnings.json: is damaged" in entry.warnings[0]["sentence"]
+
+
+def test_a_run_over_damaged_warnings_puts_them_right(folder, nlights):
+    path = folder / "out" / "inv-1" / "r0c0" / "warnings.json"
+    before = path.read_bytes()
+    damage(path, b"[{")
     done = nlights("digitise", folder / "inbox" / "inv-1", "--out", folder / "out")
-    assert "inv-1/r0c0: warning: " in done.stderr
-    assert "warnings.json: is damaged" in done.stderr
+    assert "damaged" not in done.stderr
+    assert path.read_bytes() == before
 
 
 @pytest.mark.parametrize("kind", DAMAGE)
