@@ -52,9 +52,6 @@ ALONE = 0.4
 """How far all others may still seem to lie apart when one is brought back, as a share of its movement: it reaches
 0.3 where a photograph drowns in noise, and 0.6 and more where none moved, or several did."""
 
-BESIDE = 0.2
-"""Share of its standard errors that another may still have then: behind a deep frame it had 3.4 of 22."""
-
 CLEARLY = 2.0
 """How many times as much as the other's must be what the movement of one of two photographs takes off the disorder,
 where either could be the only one that moved: it was 1.1 where the wrong one seemed better, else 6 and 17."""
@@ -234,8 +231,7 @@ def _is_alone(last: Sequence[Departure], lamp: int, size: float) -> bool:
     """Test whether a movement is certain, everywhere the same, and no other photograph moved beside."""
     quarters = [one.size for one in last[lamp].quarters()]
     others = [one for k, one in enumerate(last) if k != lamp]
-    clear = max(BEGUN, BESIDE * size / last[lamp].error)
-    alone = max(one.size for one in others) < ALONE * size and max(map(_score, others)) < clear
+    alone = max(one.size for one in others) < ALONE * size and max(map(_score, others)) < BEGUN
     same = len(quarters) > 2 and bool(np.median(quarters) < QUARTERS * size)
     return LEAST < size < FARTHEST and size > CERTAIN * last[lamp].error and alone and same
 
