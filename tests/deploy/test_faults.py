@@ -10,6 +10,8 @@ import pytest
 from fault_kills import Kill, Whole
 from fault_night import require_no_pickles, run_night
 
+from nlights_core.store.records import described_files, sealed
+
 
 @pytest.fixture(scope="module")
 def services(tmp_path_factory):
@@ -57,9 +59,9 @@ def test_a_run_outlives_who_reads_its_log(how, end):
 def test_what_is_damaged_redone_or_left_about_is_noticed(tmp_path):
     folder = tmp_path / "inv-1" / "r0c0" / "maps-0123456789ab"
     folder.mkdir(parents=True)
-    record = '{"stage": "maps", "artwork": "inv-1", "tile": "r0c0", "key": "0123456789ab", "files": {"a": 1}}'
-    (folder / "artefact.json").write_text(record)
     (folder / "a").write_bytes(b"1")
+    record = {"stage": "maps", "artwork": "inv-1", "tile": "r0c0", "key": "0123456789ab"}
+    (folder / "artefact.json").write_text(sealed({**record, "files": described_files([folder / "a"])}))
     evidence.require_whole(tmp_path)
     before = evidence.seen(tmp_path)
     evidence.require_nothing_redone(before, tmp_path)
