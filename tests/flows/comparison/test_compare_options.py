@@ -58,9 +58,9 @@ def heights(record: dict) -> dict[str, dict]:
 def test_plugins_that_hang_or_crash_are_named_and_cost_their_variants_only(compare, painting, tmp_path):
     variants = recipes(tmp_path, "simchony", "hangs", "crashes", "frankot-chellappa")
     compare(painting, "--recipes", variants[0], variants[-1], code=0)  # kernels are compiled in it: no limit
-    record, said = compare(painting, "--recipes", *variants, "--timeout", 5, code=1)
+    record, said = compare(painting, "--recipes", *variants, "--timeout", 12, code=1)
     name = "simulated-painting/r0c0: failed: integrator:"
-    assert f"hangs: {name} hangs (nlights-rascals 0.1): the stage 'height' was stopped after 5 s" in said
+    assert f"hangs: {name} hangs (nlights-rascals 0.1): the stage 'height' was stopped after 12 s" in said
     assert (
         f"crashes: {name} crashes (nlights-rascals 0.1): the stage 'height' crashed (signal SIGSEGV)" in said
     )
