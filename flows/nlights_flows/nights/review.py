@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -18,7 +17,8 @@ from nlights_flows.nights.numbers import look_at_products
 from nlights_flows.nights.page import number_rows, write_pages
 from nlights_flows.nights.record import PAGE, RECORD, TileEntry, read_night, take_in_decisions
 from nlights_flows.tiles.environment import alone
-from nlights_flows.tiles.records import PROVENANCE, QUALITY, read_provenance
+from nlights_flows.tiles.inventory import product_folders
+from nlights_flows.tiles.records import read_provenance
 
 State = Literal["fine", "open", "accepted", "repeat"]
 
@@ -95,7 +95,7 @@ def review_tiles(out: Path, limits: Limits) -> list[Reviewed]:
     CaptureError
         When there is none.
     """
-    found = [review_tile(folder, limits) for folder in _product_folders(out)]
+    found = [review_tile(folder, limits) for folder in _tiles_of(out)]
     if not found:
         raise CaptureError(f"{out}: holds no products; give the folder that digitise or nightly had as --out")
     return found
@@ -123,7 +123,7 @@ def find_tile(out: Path, name: str) -> Path:
     CaptureError
         When there is no such tile, with the nearest name.
     """
-    folders = list(_product_folders(out))
+    folders = _tiles_of(out)
     if not folders:
         raise CaptureError(f"{out}: holds no products; give the folder that digitise or nightly had as --out")
     artwork, slash, tile = name.rstrip("/").rpartition("/")
@@ -187,18 +187,9 @@ def draw_page_anew(out: Path) -> str:
         return f"{out / RECORD}: the page could not be drawn from it ({type(fault).__name__}: {fault})"
 
 
-def _product_folders(out: Path) -> Iterator[Path]:
-    """Folders of tiles, by name; not the nights, nor what begins with a dot."""
-    if not out.is_dir():
-        return
-    for artwork in sorted(out.iterdir()):
-        if artwork.name.startswith(".") or artwork.name == NIGHTS or not artwork.is_dir():
-            continue
-        for folder in sorted(artwork.iterdir()):
-            if not folder.name.startswith(".") and any(
-                (folder / name).is_file() for name in (QUALITY, PROVENANCE)
-            ):
-                yield folder
+def _tiles_of(out: Path) -> list[Path]:
+    """Folders of products, OUT/<artwork>/<tile>, by name."""
+    return [folder for folder in product_folders(out) if folder.parent.parent == out]
 
 
 def _artwork_of(folder: Path) -> str:

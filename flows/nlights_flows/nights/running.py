@@ -237,9 +237,7 @@ class Night:
                 return False
             started = time.monotonic()
             published = publish(store, tile, refs, order.options.out, copied=order.options.copies)
-        except (
-            Exception
-        ):  # artefacts are deleted or damaged: running the tile makes them again, or says why not
+        except Exception:  # artefacts are gone or damaged: running the tile makes them again, or says why not
             return False
         took = time.monotonic() - started
         self._take_down(

@@ -29,7 +29,7 @@ from nlights_core.report.figures import NOT_MEASURED
 from nlights_flows.tiles.chain import steps
 from nlights_flows.tiles.checking import Finding
 from nlights_flows.tiles.planning import Step
-from nlights_flows.tiles.records import QUALITY, read_quality
+from nlights_flows.tiles.records import read_quality
 from nlights_flows.tiles.running import Outcome
 from nlights_flows.tiles.streams import complain as complain
 from nlights_flows.tiles.streams import say as say
@@ -268,13 +268,13 @@ def show_numbers(folders: Sequence[Path]) -> int:
     CaptureError
         When a folder holds no products, or all are damaged.
     """
+    from nlights_flows.tiles.inventory import product_folders
+
     found: list[Path] = []
     for folder in folders:
-        here = sorted(path.parent for path in folder.glob(f"**/{QUALITY}") if _is_product(path, folder))
+        here = list(product_folders(folder))
         if not here:
-            raise CaptureError(
-                f"{folder}: holds no products (no quality.json); give an output folder of digitise"
-            )
+            raise CaptureError(f"{folder}: holds no products; give an output folder of digitise")
         found += here
     tiles, numbers = [], []
     for tile in found:
@@ -299,11 +299,6 @@ def show_numbers(folders: Sequence[Path]) -> int:
     for tile in tiles:
         say(tile / "report.html")
     return len(found) - len(tiles)
-
-
-def _is_product(path: Path, folder: Path) -> bool:
-    """Test whether a file is not among artefacts, drafts, or products that are kept of other photographs."""
-    return not any(part.startswith(".") for part in path.relative_to(folder).parts)
 
 
 def _value(row: dict[str, Any] | None) -> str:

@@ -61,9 +61,7 @@ def ensure(
     OSError
         As the stage raises it.
     """
-    if store.has(work.ref):
-        return True
-    if not needs_child(arguments, timeout):
+    if store.has(work.ref) or not needs_child(arguments, timeout):
         return store.ensure(work, progress)
     store.require_whole_inputs(work)
     answer = None

@@ -8,11 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from nlights_core.errors import CaptureError
+from nlights_core.products.writing import PROVENANCE
 
 MADE_AGAIN = "see `nlights verify`, or digitise the artwork again"
 """What to do about one."""
 
-QUALITY, PROVENANCE = "quality.json", "provenance.json"
+QUALITY = "quality.json"
 
 _TEXTS = ("group", "name", "unit")
 

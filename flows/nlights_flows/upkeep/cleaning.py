@@ -15,7 +15,7 @@ from nlights_core.store import RECORD, ArtefactRef, sweep_below
 from nlights_core.store.drafts import discard
 from nlights_core.store.records import read_sealed
 from nlights_core.store.references import found_mask
-from nlights_flows.upkeep.inventory import artefact_folders, place_of, product_folders
+from nlights_flows.tiles.inventory import artefact_folders, place_of, product_folders
 
 DAY = 86400.0
 
@@ -82,7 +82,7 @@ def clean(
     needed: set[str] = set()
     artworks: set[str] = set()
     for out in outs:
-        folders = list(product_folders(out))
+        folders = list(product_folders(out, former=True))
         if not folders:
             raise NlightsError(
                 f"--out: {out} holds no products; name the folders that digitise and nightly wrote to"

@@ -14,7 +14,7 @@ from nlights_core.store import RECORD, draft
 from nlights_core.store.drafts import discard
 from nlights_core.store.records import read_sealed
 from nlights_core.store.whole_files import flush, give_out
-from nlights_flows.upkeep.inventory import place_of
+from nlights_flows.tiles.inventory import place_of
 
 
 def restore(products: Path, damaged: Iterable[str], store: Path, rotten: Collection[Path]) -> list[str]:

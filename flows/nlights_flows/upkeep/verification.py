@@ -14,7 +14,7 @@ from nlights_core.stages.inputs import FLATS
 from nlights_core.store import RECORD, ArtefactRef
 from nlights_core.store.drafts import discard
 from nlights_core.store.records import faults_of_files, read_sealed
-from nlights_flows.upkeep.inventory import artefact_folders, place_of, product_folders
+from nlights_flows.tiles.inventory import artefact_folders, place_of, product_folders
 from nlights_flows.upkeep.remedies import Remedies
 from nlights_flows.upkeep.repair import restore
 
@@ -123,7 +123,7 @@ def verify(
     works: list[tuple[str, str, int, Path]] = [
         (folder.parent.parent.name, folder.parent.name, 0, folder) for folder in artefact_folders(store)
     ]
-    works += [(*place_of(folder), 1, folder) for folder in product_folders(out)]
+    works += [(*place_of(folder), 1, folder) for folder in product_folders(out, former=True)]
     works.sort()
     sizes = [_size(folder) for _, _, _, folder in works]
     done, total = 0, max(sum(sizes), 1)

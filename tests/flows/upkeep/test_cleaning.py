@@ -80,6 +80,8 @@ def test_what_a_run_uses_again_is_young_again(painting, out):
     (folder,) = store.glob("*/*/report-*")
     shutil.rmtree(folder)
     direct.digitise(painting, RunOptions(out=out), shown=False)
+    ages = {name: time.time() - (store / name).stat().st_mtime for name in names(store)}
+    assert max(ages.values()) < 3600, ages
     provenance = out / TILE / "provenance.json"
     provenance.unlink()
     (out / TILE / "report.html").unlink()

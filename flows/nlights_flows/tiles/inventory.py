@@ -8,15 +8,21 @@ from pathlib import Path
 
 from nlights_core.products.publishing import FORMER
 from nlights_core.products.writing import PROVENANCE
+from nlights_flows.tiles.records import QUALITY
 
-MARKS = {PROVENANCE, "report.html", "quality.json"}
+MARKS = {PROVENANCE, QUALITY, "report.html"}
 """Files by which a folder is known to hold the products of a tile, even where one of them is lost."""
 
 
-def product_folders(out: Path) -> Iterator[Path]:
-    """Folders with the products of a tile, those kept in ``.former`` too; in any depth, links not followed."""
+def product_folders(out: Path, *, former: bool = False) -> Iterator[Path]:
+    """Folders with the products of a tile, by name, in any depth; links are not followed.
+
+    ``former``: those kept in ``.former`` too.
+    """
     for place, folders, files in os.walk(out):
-        folders[:] = sorted(name for name in folders if not name.startswith(".") or name == FORMER)
+        folders[:] = sorted(
+            name for name in folders if not name.startswith(".") or (former and name == FORMER)
+        )
         if MARKS & {*files, *folders}:
             folders[:] = [name for name in folders if name not in MARKS]
             yield Path(place)
