@@ -238,7 +238,7 @@ def load_stand(what: str, base: Path | None = None) -> Stand:
     try:
         status = path.stat()
     except OSError:  # reading it says why
-        return _read_stand.__wrapped__(path, path, ())
+        return Source(path, StandError).check(Stand)
     return _read_stand(
         path.resolve(), path, (status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns)
     )
