@@ -141,11 +141,12 @@ def _wider(
     """Factor by which the last ``more`` unknowns scatter more than stated; 1 without evidence.
 
     The width with the largest likelihood, by expectation and maximisation: each step asks how far the unknowns would
-    be from what is stated if the width were that of the step before.
+    be from what is stated if the width were that of the step before.  The pixels count as `INDEPENDENT`, as for all
+    evidence: in photographs of many megapixels there is so little noise that what the model misses would tell.
     """
-    places = np.array(free, np.intp)
-    own, inner = precisions[places], matrix[np.ix_(places, places)]
-    shifted = right[places] - inner @ centres[places]
+    places, less = np.array(free, np.intp), INDEPENDENT / NOISE_ALONE
+    own, inner = precisions[places], less * matrix[np.ix_(places, places)]
+    shifted = less * right[places] - inner @ centres[places]
     last = places >= len(right) - more
 
     def look(wide: float) -> tuple[float, float]:

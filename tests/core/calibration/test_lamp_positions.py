@@ -89,11 +89,14 @@ def test_lamps_far_from_the_stands_file_are_found_and_their_distance_counts(matt
     assert np.std(apart) < 3 * np.sqrt(np.mean(wide**2))
 
 
-@pytest.mark.parametrize(("scatter", "told"), [(1.0, False), (6.0, True)])
-def test_the_width_of_positions_is_told_by_linear_equations_of_it(scatter, told):
+@pytest.mark.parametrize(
+    ("scatter", "contrast", "told"),
+    [(1.0, 1.0, False), (6.0, 1.0, True), (3.0, 0.05, False)],  # the last has 28 nats, and 2 as `INDEPENDENT`
+)
+def test_the_width_of_positions_is_told_by_linear_equations_of_it(scatter, contrast, told):
     """Equations of a level and 24 coordinates, of which the truth is known."""
     rng = np.random.default_rng(11)
-    design = rng.normal(size=(400, 25))
+    design = rng.normal(size=(400, 25)) * np.array([1.0, *[contrast] * 24])
     truth = np.concatenate([[0.3], rng.normal(0, scatter, 24)])
     equations = SimpleNamespace(
         matrix=design.T @ design, right=design.T @ (design @ truth + rng.normal(size=400)), scatter=np.eye(25)
