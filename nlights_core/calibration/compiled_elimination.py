@@ -132,6 +132,45 @@ def linearise_samples(
             _derive_by_flat(flat_gloss, value, ray, flat_hidden, own, of, additive + 2)
 
 
+@kernel
+def read_surface(
+    lights: Array,
+    views: Array,
+    scaled: Array,
+    gloss: Array,
+    alphas: Array,
+    grazing: float,
+    departure: float,
+    first: int,
+    last: int,
+    readings: Array,
+) -> None:
+    """Predict the readings of some pixels.
+
+    Parameters
+    ----------
+    lights, views, scaled, gloss, alphas, grazing, departure, first, last
+        As for `linearise_samples`.
+    readings : (L, N) float64 array
+        Receives them; NaN where the normal is not known.
+    """
+    ray, face, b, own, slope = np.empty(RAY), np.empty(FACE), np.empty(3), np.empty(2), np.empty(3)
+    lobes = np.flatnonzero(gloss)
+    hidden = np.empty((len(lobes), 2))
+    for p in range(first, last):
+        readings[:, p] = np.nan
+        b[0], b[1], b[2] = scaled[p, 0], scaled[p, 1], scaled[p, 2]
+        if not b[2] > 0:
+            continue
+        vx, vy, vz = _vector(views, p)
+        turn(b, vx, vy, vz, lobes, alphas, FACETS, face, hidden)
+        for k in range(len(lights)):
+            prepare(*_vector(lights[k], p), vx, vy, vz, grazing, ray)
+            readings[k, p] = shade(
+                b, ray, vx, vy, vz, lobes, gloss, alphas, departure, face, hidden, own, slope
+            )
+
+
 @numba.njit(inline="always")
 def _vector(of: Array, p: int) -> tuple[float, float, float]:
     """Components of one of the vectors, in double precision."""

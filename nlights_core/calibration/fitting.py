@@ -265,7 +265,8 @@ def _fit_last(
     at = (pixels.rows, pixels.columns)
     z, scaled = state.height[at], state.scaled[at]
     places = np.array(sorted({0, *free}), np.intp)
-    more = None if positions is None else columns_of_positions(room, pixels, lights, flat, z, scaled)
+    surface = state.shared.reflectance
+    more = None if positions is None else columns_of_positions(room, pixels, lights, flat, z, scaled, surface)
     state.equations = linearise(
         room, pixels, lights, flat, z, scaled, state.shared, places=places, more=more, independent=NOISE_ALONE
     )

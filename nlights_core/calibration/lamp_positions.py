@@ -14,7 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from nlights_core.calibration import evidence
-from nlights_core.calibration.linearisation import INDEPENDENT, Equations
+from nlights_core.calibration.linearisation import INDEPENDENT, Equations, in_parts
+from nlights_core.calibration.reflectance import Reflectance
 from nlights_core.calibration.sampling import Pixels, Samples, develop_pixels
 from nlights_core.calibration.unknowns import Group, Shared, groups, prior
 from nlights_core.fields import LightField
@@ -58,6 +59,7 @@ def columns_of_positions(
     flat_field: FlatField,
     z: Array,
     scaled: Array,
+    surface: Reflectance,
 ) -> Array:
     """Changes of what is predicted by a millimetre of each coordinate of each lamp, (N, L, 3 L).
 
@@ -72,13 +74,16 @@ def columns_of_positions(
         Heights, mm.
     scaled : (N, 3) float64 array
         Scaled normals.
+    surface : Reflectance
+        A highlight moves with its lamp.
     """
     here = develop_pixels(room, pixels, lights, flat_field, z)
     count = len(here.images)
     more = np.zeros((len(scaled), count, count, 3))
     for axis in range(3):
         moved = replace(lights, positions=lights.positions + SHIFT * np.eye(3)[axis])
-        change = _change(here, develop_pixels(room, pixels, moved, flat_field, z), scaled) / SHIFT
+        there = develop_pixels(room, pixels, moved, flat_field, z)
+        change = _change(here, there, scaled, surface) / SHIFT
         for lamp in range(count):
             more[:, lamp, lamp, axis] = change[lamp]
     return more.reshape(len(scaled), count, -1)
@@ -166,9 +171,26 @@ def _wider(
     return wide if wide > 1 and likelihood - before > evidence.MARGIN else 1.0
 
 
-def _change(here: Samples, there: Samples, scaled: Array) -> Array:
-    """Change of what is predicted less what is observed, (L, N), of a matt surface; 0 where it is not known."""
-    before, after = (np.einsum("lnk,nk->ln", one.lights, scaled) for one in (here, there))
+def _change(here: Samples, there: Samples, scaled: Array, surface: Reflectance) -> Array:
+    """Change of what is predicted less what is observed, (L, N); 0 where it is not known."""
+    before, after = (_predict(one, scaled, surface) for one in (here, there))
     with np.errstate(divide="ignore", invalid="ignore"):
         change = after - before * np.where(here.images != 0, there.images / here.images, 1)
     return np.asarray(np.nan_to_num(change))
+
+
+def _predict(samples: Samples, scaled: Array, surface: Reflectance) -> Array:
+    """Readings of a surface, (L, N); NaN where its normal is not known."""
+    from nlights_core.calibration.compiled_elimination import read_surface
+
+    lights, views = (np.ascontiguousarray(a, np.float32) for a in (samples.lights, samples.views))
+    readings = np.empty(samples.images.shape)
+
+    def some(first: int, last: int) -> None:
+        read_surface(
+            lights, views, scaled, surface.gloss, surface.roughnesses, surface.grazing, surface.departure,
+            first, last, readings,
+        )  # fmt: skip
+
+    in_parts(len(scaled), some)
+    return readings

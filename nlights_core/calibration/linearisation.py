@@ -154,7 +154,7 @@ def linearise(
             a, b, c, d, e, f, g, h, *values, first, last, columns, slopes, residuals, precisions
         )
 
-    _in_parts(size, some)
+    in_parts(size, some)
     if places is not None:
         columns = np.take(columns, places, axis=2)
     if more is not None:
@@ -197,7 +197,7 @@ def _eliminate(
     def eliminate(first: int, last: int) -> None:
         eliminate_normals(columns, slopes, precisions, scaled, first, last, inverses, tilts)
 
-    _in_parts(size, eliminate)
+    in_parts(size, eliminate)
     usable = np.asarray(precisions.any(axis=1))
     bends, at_pixels = _bends(grid, pixels, tilts, usable)
     scores, matrices = np.empty((size, unknowns)), []
@@ -209,7 +209,7 @@ def _eliminate(
         )
         matrices.append((first, matrix))
 
-    _in_parts(size, add)
+    in_parts(size, add)
     share = min(1.0, independent / max(int(usable.sum()), 1)) / scale**2
     # In their order, so that the sum is the same however many threads there are.
     matrix = share * np.sum([part for _, part in sorted(matrices, key=lambda one: one[0])], axis=0)
@@ -246,7 +246,7 @@ def _noise_against_matt(inverses: Array, rays: Array, precisions: Array, scaled:
         return np.asarray(np.sqrt(across[0] / across[1]))
 
 
-def _in_parts(size: int, work: Callable[[int, int], None]) -> None:
+def in_parts(size: int, work: Callable[[int, int], None]) -> None:
     """Work on parts of the pixels in threads."""
 
     def some(first: int) -> None:

@@ -50,7 +50,9 @@ class SmoothErrors(NamedTuple):
     noise: float
 
 
-def smooth_errors(found: Calibration, lights: LightField, grid: PixelGrid) -> SmoothErrors:
+def smooth_errors(
+    found: Calibration, lights: LightField, grid: PixelGrid, wandering: float = 0.0
+) -> SmoothErrors:
     """Propagate the covariance of the shared unknowns, and what the model misses, to height and slopes.
 
     Parameters
@@ -60,13 +62,21 @@ def smooth_errors(found: Calibration, lights: LightField, grid: PixelGrid) -> Sm
         Near lamps.
     grid : PixelGrid
         Of the reduced photographs.
+    wandering : float
+        Standard uncertainty of the place that a lamp's light comes from, beside that of the lamp, per axis, mm;
+        0 where positions were not fitted.
     """
     equations = found.equations
     coarse = coarse_grid(grid)
-    variance = np.einsum("mhw,mn,nhw->hw", equations.bends, found.covariance, equations.bends)
+    covariance = found.covariance.copy()
+    if wandering:
+        # The last ones are the coordinates of the lamps.
+        last = np.arange(len(covariance) - 3 * len(found.shared.strengths), len(covariance))
+        covariance[last, last] += wandering**2
+    variance = np.einsum("mhw,mn,nhw->hw", equations.bends, covariance, equations.bends)
     across, down = (np.gradient(equations.bends, coarse.pixel_size, axis=axis) for axis in (2, 1))
-    slope = np.einsum("mhw,mn,nhw->hw", across, found.covariance, across) / 2
-    slope += np.einsum("mhw,mn,nhw->hw", down, found.covariance, down) / 2
+    slope = np.einsum("mhw,mn,nhw->hw", across, covariance, across) / 2
+    slope += np.einsum("mhw,mn,nhw->hw", down, covariance, down) / 2
     missed, missed_slope = _misfit(smooth_blocks(equations), lights, coarse)
     if found.strange.any():
         apart = block_means(found.apart - np.median(found.apart), CELL, coarse)

@@ -42,8 +42,10 @@ def calibration(
     tile = with_mask(store, tile)
     facts = facts_of_photographs(store, tile, "frames") | {"groups": list(groups)}
     facts["flats_averaged"] = tile.flats_averaged
-    positions = tile.stand.uncertainty_mm if tile.stand else None
-    facts["positions_mm"] = positions
+    positions, wandering = None, 0.0
+    if tile.stand:
+        positions, wandering = tile.stand.uncertainty_mm, tile.stand.lamp.wandering_mm
+    facts |= {"positions_mm": positions, "wandering_mm": wandering}
     inputs = {"lights": lights, "flat_field": flat_field}
     if alignment:
         inputs["alignment"] = alignment
@@ -65,7 +67,7 @@ def calibration(
         found = calibrate(small, field, divisor, groups, positions, lambda share: progress(0.5 + 0.5 * share))
         missed = unreached(small.grid, found.height, field)
         answers = compare_halves(small, field, divisor, found)
-        errors = smooth_errors(found, field, small.grid)
+        errors = smooth_errors(found, field, small.grid, wandering)
         if shifts:
             errors = errors._replace(noisier=errors.noisier * np.float32(noise_left(shifts.values())))
         write_calibration(folder, found, errors, missed, answers, noisier)

@@ -7,6 +7,7 @@ from nlights_core.calibration.compiled_elimination import (
     add_equations,
     eliminate_normals,
     linearise_samples,
+    read_surface,
 )
 from nlights_core.calibration.compiled_reflectance import solve_normals
 from nlights_core.calibration.reflectance import (
@@ -78,6 +79,19 @@ def test_readings_are_those_of_the_formulas(scene):
     floor = 0.02 * np.linalg.norm(scaled, axis=-1)[:, None]
     variance = np.maximum(expected, floor) / 500 + (MISFIT * expected) ** 2
     np.testing.assert_allclose(precisions, 1 / variance, rtol=1e-5)
+
+
+def test_readings_of_a_surface_are_those_of_the_formulas_for_the_pixels_asked_for(scene):
+    lights, views, scaled, gloss = scene
+    scaled[7, 2] = np.nan
+    readings = np.full((LAMPS, PIXELS), -1.0)
+    read_surface(lights, views, scaled, gloss, ALPHAS, GRAZING, DEPARTURE, 5, PIXELS - 2, readings)
+    assert (readings[:, :5] == -1).all()
+    assert (readings[:, -2:] == -1).all()
+    expected = read(lights, views, scaled, gloss)
+    assert np.isnan(readings[:, 7]).all()
+    known = [5, 6, *range(8, PIXELS - 2)]
+    assert readings[:, known] == pytest.approx(expected[:, known], rel=1e-5)
 
 
 def test_what_is_not_used_has_no_say(scene):

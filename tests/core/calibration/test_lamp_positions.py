@@ -11,6 +11,7 @@ from nlights_core.calibration.lamp_positions import fit_with_positions
 from nlights_core.calibration.linearisation import CELL, coarse_grid
 from nlights_core.calibration.uncertainty import block_means, smooth_errors
 from nlights_core.calibration.unknowns import nothing
+from nlights_core.simulation import captures
 
 DRIFT = np.array([1.02, 0.975, 0.99, 1.025, 1.01, 0.99, 1.0, 0.985])
 
@@ -69,6 +70,27 @@ def test_an_unknown_position_makes_the_height_less_certain(matt):
     assert (wide.height > plain.height).all()
     assert np.median(wider.height / wide.height) > 2
     assert (wide.slope > plain.slope).all()
+
+
+def test_light_that_wanders_about_a_lamp_makes_the_height_less_certain(matt):
+    scene = matt[1]
+    found = calibrate(scene.room, scene.lights, scene.flat_field, ("level",), 1.0)
+    plain, wandering = (smooth_errors(found, scene.lights, scene.room.grid, w) for w in (0.0, 3.0))
+    bends = found.equations.bends[-3 * len(scene.lights.lamps) :]
+    # A normal error that is independent in each coordinate, of which the height states half; see SHARE.
+    more = (0.5 * 3) ** 2 * np.sum(bends**2, axis=0)
+    assert wandering.height**2 - plain.height**2 == pytest.approx(more, rel=1e-3)
+    assert (wandering.slope > plain.slope).all()
+
+
+def test_a_highlight_that_moves_with_its_lamp_is_not_taken_for_drift(simulated, calibrated, monkeypatch):
+    # The group's light is half a millimetre from its middle; without noise that tells in a sharp highlight.
+    monkeypatch.setattr(captures, "FULL_WELL", 2e6)
+    scene = calibrated(simulated(stand="vertical-dark", varnish=True, width=300, seed=33))
+    strengths = scene.found.shared.strengths
+    assert np.ptp(strengths) < 0.001
+    assert np.std(scene.deviations) < 0.08
+    assert np.std(scene.deviations) < 1.5 * np.sqrt(np.mean(scene.errors.height**2))
 
 
 def test_lamps_far_from_the_stands_file_are_found_and_their_distance_counts(matt):
