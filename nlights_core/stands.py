@@ -21,10 +21,10 @@ class Record(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
-WANDERING = 1 / 30
+WANDERING = 1 / 60
 """Share of an emitter's size by which the place that its light comes from is not known, per axis.  The lamps of a
 group are not equally bright, nor aimed alike, so the middle of their light wanders over the field: in simulated
-groups of 60 mm by 0.8 mm about a place 0.5 mm off, which bends heights about as a shift by 2 mm does."""
+groups of 60 mm by 0.8 mm about a place 0.5 mm off."""
 
 
 class Axes(Record):
