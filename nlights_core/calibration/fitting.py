@@ -41,10 +41,10 @@ PIXELS = 12_000
 """About how many pixels have a say."""
 
 MORE_PIXELS = 60_000
-"""The same in the last fit: what lamps have changed is told by noise alone."""
+"""The same in the last fit where lamps have changed: how much is told by noise alone."""
 
-FEWER_PIXELS = 20_000
-"""The same in a fit before it, which the last one corrects."""
+FEWER_PIXELS = 24_000
+"""The same in a fit before it, which the last one corrects, and in the last one where they have not."""
 
 THINNED = 4 * PIXELS
 """Pixels from which on only every other row and column is looked at before the last fit."""
@@ -161,7 +161,8 @@ def calibrate(
             _follow(state, thin, raw, lights, flat_field)
         _widen(state, room.grid.shape)
     raw = room.raw(0, room.grid.rows, lights)
-    covariance, wider = _fit_last(state, room, raw, lights, flat_field, free, positions, doubt, MORE_PIXELS)
+    wanted = MORE_PIXELS if "lamps" in believed else FEWER_PIXELS
+    covariance, wider = _fit_last(state, room, raw, lights, flat_field, free, positions, doubt, wanted)
     if free:
         _follow(state, room, raw, lights, flat_field)
     apart = _with_strange(state, room, raw, lights, flat_field) - state.height

@@ -9,7 +9,7 @@ import pytest
 from nlights_core.calibration.fitting import calibrate
 from nlights_core.calibration.lamp_positions import fit_with_positions
 from nlights_core.calibration.linearisation import CELL, coarse_grid
-from nlights_core.calibration.uncertainty import block_means, smooth_errors
+from nlights_core.calibration.uncertainty import SHARE, block_means, smooth_errors
 from nlights_core.calibration.unknowns import nothing
 from nlights_core.simulation import captures
 
@@ -77,8 +77,8 @@ def test_light_that_wanders_about_a_lamp_makes_the_height_less_certain(matt):
     found = calibrate(scene.room, scene.lights, scene.flat_field, ("level",), 1.0)
     plain, wandering = (smooth_errors(found, scene.lights, scene.room.grid, w) for w in (0.0, 3.0))
     bends = found.equations.bends[-3 * len(scene.lights.lamps) :]
-    # A normal error that is independent in each coordinate, of which the height states half; see SHARE.
-    more = (0.5 * 3) ** 2 * np.sum(bends**2, axis=0)
+    # Each coordinate wanders by itself.
+    more = (SHARE * 3) ** 2 * np.sum(bends**2, axis=0)
     assert wandering.height**2 - plain.height**2 == pytest.approx(more, rel=1e-3)
     assert (wandering.slope > plain.slope).all()
 
