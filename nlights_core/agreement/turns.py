@@ -114,7 +114,8 @@ def _way_of_all(pairs: tuple[tuple[Array, Array], ...]) -> tuple[str, float, boo
 
     def apart(place: tuple[slice, ...]) -> Array:
         # Of several pairs the geometric mean: what fits badly anyway must not decide.
-        logs = [np.log(misfits(first[(slice(None), *place)], second)) for first, second in pairs]
+        with np.errstate(divide="ignore"):  # what fits exactly stays 0
+            logs = [np.log(misfits(first[(slice(None), *place)], second)) for first, second in pairs]
         return np.asarray(np.exp(np.mean(logs, axis=0)))
 
     listed = apart((slice(None), slice(None)))

@@ -69,9 +69,12 @@ def smooth_errors(
     equations = found.equations
     coarse = coarse_grid(grid)
     covariance = found.covariance.copy()
+    # The last ones are the coordinates of the lamps, where they were fitted.
+    last = np.arange(len(covariance) - 3 * len(found.shared.strengths), len(covariance))
+    if found.positions:
+        # A scatter that the photographs tell is no caution: it counts in full.
+        covariance[last, last] = (found.positions / SHARE) ** 2
     if wandering:
-        # The last ones are the coordinates of the lamps.
-        last = np.arange(len(covariance) - 3 * len(found.shared.strengths), len(covariance))
         covariance[last, last] += wandering**2
     variance = np.einsum("mhw,mn,nhw->hw", equations.bends, covariance, equations.bends)
     across, down = (np.gradient(equations.bends, coarse.pixel_size, axis=axis) for axis in (2, 1))
