@@ -36,7 +36,7 @@ SCENES = (
 )
 """Scene and stand of a seed for the coverage: the remainder of the seed by 4 chooses."""
 SEEDS = range(121, 141)
-"""Of the coverage; none was used while the calibration was written."""
+"""Of the coverage; the first eight were seen before the factor of caution was chosen, the others were not."""
 Figures = dict[str, Any]
 
 
