@@ -136,7 +136,7 @@ class Document:
             try:
                 self._node, self.data = _read(make, text, texts)
                 break
-            except yaml.YAMLError:
+            except (yaml.YAMLError, UnicodeEncodeError):  # halves of letters are no UTF-8, which C reads
                 if make is _LOADERS[-1]:
                     raise
 

@@ -78,12 +78,12 @@ def columns_of_positions(
         A highlight moves with its lamp.
     """
     here = develop_pixels(room, pixels, lights, flat_field, z)
-    count = len(here.images)
+    before, count = _predict(here, scaled, surface), len(here.images)
     more = np.zeros((len(scaled), count, count, 3))
     for axis in range(3):
         moved = replace(lights, positions=lights.positions + SHIFT * np.eye(3)[axis])
         there = develop_pixels(room, pixels, moved, flat_field, z)
-        change = _change(here, there, scaled, surface) / SHIFT
+        change = _change(here, there, before, _predict(there, scaled, surface)) / SHIFT
         for lamp in range(count):
             more[:, lamp, lamp, axis] = change[lamp]
     return more.reshape(len(scaled), count, -1)
@@ -171,9 +171,8 @@ def _wider(
     return wide if wide > 1 and likelihood - before > evidence.MARGIN else 1.0
 
 
-def _change(here: Samples, there: Samples, scaled: Array, surface: Reflectance) -> Array:
+def _change(here: Samples, there: Samples, before: Array, after: Array) -> Array:
     """Change of what is predicted less what is observed, (L, N); 0 where it is not known."""
-    before, after = (_predict(one, scaled, surface) for one in (here, there))
     with np.errstate(divide="ignore", invalid="ignore"):
         change = after - before * np.where(here.images != 0, there.images / here.images, 1)
     return np.asarray(np.nan_to_num(change))

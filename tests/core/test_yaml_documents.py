@@ -47,7 +47,16 @@ def test_both_parsers_read_the_same_values_on_the_same_lines(text, slow, monkeyp
 
 @pytest.mark.parametrize(
     "text",
-    ["a: [1", "a: *b", "a: !x y", "a: 1\na: 2", "a: 'x", "1785#3: {", "a: 012 #3", "[" * 40 + "]" * 40],
+    [
+        "a: [1",
+        "a: *b",
+        "a: !x y",
+        "a: 1\na: 2",
+        "a: 'x",
+        "1785#3: {",
+        "a: 012 #3",
+        "[" * 40 + "]" * 40,
+    ],
 )
 def test_sentences_of_what_is_refused_are_those_of_the_parser_in_python(text, slow):
     with pytest.raises(yaml.MarkedYAMLError) as expected:
@@ -56,3 +65,9 @@ def test_sentences_of_what_is_refused_are_those_of_the_parser_in_python(text, sl
         Document(text, [("a",)])
     assert found.value.problem == expected.value.problem
     assert str(found.value.problem_mark) == str(expected.value.problem_mark)
+
+
+def test_half_a_letter_is_refused_as_before(slow):
+    for read in (slow, Document):
+        with pytest.raises(yaml.reader.ReaderError, match="special characters are not allowed"):
+            read("a: \ud800")
